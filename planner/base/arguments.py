@@ -161,9 +161,25 @@ def quaternion(name: str, value: Any) -> np.ndarray:
     return Rotation.from_euler("xyz", angles, degrees=True).as_quat()[[3, 0, 1, 2]]
 
 
+def first_of(phrases: Sequence[str], most: int) -> str:
+    """At most so many phrases for a sentence: "a, b and 3 more"."""
+    more = len(phrases) - most
+    return ", ".join(phrases[:most]) + (f" and {more} more" if more > 0 else "")
+
+
 def toml_key(name: str) -> str:
     """A name as a key of a TOML table."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
+
+
+def toml_value(value: Any) -> str:
+    """A JSON value as TOML."""
+    if isinstance(value, dict):
+        parts = ", ".join(f"{toml_key(name)} = {toml_value(part)}" for name, part in value.items())
+        return f"{{ {parts} }}" if parts else "{}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return json.dumps(value, default=str, ensure_ascii=False)  # strings, numbers and booleans are written alike
 
 
 def set_fields(record: Any, **values: Any) -> None:

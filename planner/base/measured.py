@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -125,6 +125,12 @@ def bound_excess(sections: Iterable[Section]) -> float:
 def rows_of(sections: Mapping[str, Section]) -> list[tuple[str, str, str, str, str]]:
     """Table rows of all sections: section, name, value, bound and "ok" or "FAIL"."""
     return [row for section in sections.values() for row in section.rows()]
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table with aligned columns."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
 def dicts_of(sections: Mapping[str, Section]) -> dict[str, Any]:

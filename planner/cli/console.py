@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from planner.base.data_files import finite
+from planner.base.measured import aligned
 
 if TYPE_CHECKING:
     from planner.problem.plan import Iteration, Start
@@ -95,8 +96,8 @@ class Console:
                 for i, part in enumerate(textwrap.wrap(row[-1], max(20, columns - before)) or [""])
             ]
         widths = [max(map(len, column)) for column in zip(heads, *cells, strict=True)]
-        for row in (list(heads), ["-" * width for width in widths], *cells):
-            self.write_result("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        for line in aligned([heads, ["-" * width for width in widths], *cells]):
+            self.write_result(line)
 
     def iteration(self, line: Iteration | RelaxationStep) -> None:
         """Print a line of the table of iterations: every one on a terminal, fewer in a log; all of a relaxation."""

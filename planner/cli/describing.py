@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from planner.base.arguments import first_of
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.cli.console import Console, shown
 from planner.model.robot_collections import model_location
@@ -108,10 +109,10 @@ def _show(path: str, known: Description, console: Console) -> None:
     facts += [("contacts", ": ".join(filter(None, (touching, known.contacts["choice"]))))]
     facts += [("keyframes", ", ".join(known.keyframes))] if known.keyframes else []
     placed = [f"{name} at [{', '.join(f'{x:.3g}' for x in place)}]" for name, place in known.frames.items()]
-    facts += [("frames", f"{_listed(placed)} m in {next(iter(known.poses))}")] if placed else []
+    facts += [("frames", f"{first_of(placed, _MAX_PHRASES)} m in {next(iter(known.poses))}")] if placed else []
     facts += [("base", URDF_BASE)] if is_urdf(path) else []
-    facts += [("planned with", _listed(known.planned))] if known.planned else []
-    facts += [("left out", _listed(known.left_out))] if known.left_out else []
+    facts += [("planned with", first_of(known.planned, _MAX_PHRASES))] if known.planned else []
+    facts += [("left out", first_of(known.left_out, _MAX_PHRASES))] if known.left_out else []
     if known.loaded.keys:
         facts.append(("needs", ", ".join(f"{key} = {json.dumps(value)}" for key, value in known.loaded.keys.items())))
     facts += [("refused", known.loaded.refusal)] if known.loaded.refusal else []
@@ -136,8 +137,3 @@ def _range(ends: list[float] | None, unit: str) -> str:
 def _spring(joint: dict[str, object]) -> str:
     stiffness, rest = joint["stiffness"], joint["spring_rest"]
     return "" if stiffness is None else f"{stiffness:.4g}" + ("" if rest is None else f" about {rest:.4g}")
-
-
-def _listed(phrases: list[str]) -> str:
-    more = len(phrases) - _MAX_PHRASES
-    return ", ".join(phrases[:_MAX_PHRASES]) + (f" and {more} more" if more > 0 else "")

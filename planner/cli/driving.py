@@ -79,16 +79,8 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
         raise
     for name in OUTPUTS:
         (place / name).unlink(missing_ok=True)
-    write_json(
-        place / "drive.json",
-        {
-            "case": problem.case,
-            "parameters": problem.parameters,
-            **verdict.to_dict(),
-            "measured": calls._asdict(),
-            "advice": advice,
-        },
-    )
+    facts = {"case": problem.case, "parameters": problem.parameters, **verdict.to_dict(), "measured": calls._asdict()}
+    write_json(place / "drive.json", facts | {"advice": advice})
     plan.save(place / "plan.npz")
     save(draw_loop(verdict), place / "loop.png")
     film_status = _film(arguments, loop, place, console)

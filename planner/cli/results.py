@@ -175,18 +175,10 @@ def write_proof(
 
 
 def draw_results(
-    plan: Plan,
-    proof: Proof | None,
-    folder: Path,
-    fixes: Sequence[SuggestedFix],
-    video: bool,
-    console: Console,
-    path: Sequence[Refinement] = (),
-    keep: Collection[str] = frozenset(),
-    options: Mapping[str, Any] | None = None,
-    films: BackgroundRender | None = None,
-    budget: WorkBudget | None = None,
-) -> str:
+    plan: Plan, proof: Proof | None, folder: Path, fixes: Sequence[SuggestedFix], video: bool, console: Console,
+    path: Sequence[Refinement] = (), keep: Collection[str] = frozenset(), options: Mapping[str, Any] | None = None,
+    films: BackgroundRender | None = None, budget: WorkBudget | None = None,
+) -> str:  # fmt: skip
     """Draw the pictures and the report into a folder; returns why there is no video, or "".
 
     Files named in `keep` are of this plan and stay; other pictures are removed first. An interruption leaves the

@@ -24,9 +24,7 @@ from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import checked_durations, durations_or_default, weights_of, with_objective
 from planner.problem.plan import Plan, Status
 from planner.proof.diagnostics import SuggestedFix, suggested_fixes
-from planner.solvers.free_time import solve_for
 from planner.solvers.options import MAX_STARTS
-from planner.solvers.periodic import solve_periodic
 from planner.solvers.slq import solve
 from planner.solvers.work import WorkBudget
 from planner.sweeps.executors import executor_of
@@ -142,14 +140,8 @@ def solved(
         "starts": asked.starts, "seed": asked.seed, "max_iterations": arguments.max_iterations,
         "rank": _rank(arguments.rank), "executor": executor, "budget": budget,
     }  # fmt: skip
-    shown = console.iteration if asked.durations is None and asked.starts == 1 else console.row
-
-    if problem.periodic is not None:
-        plan = solve_periodic(problem, callback=console.row, **options)
-    elif asked.objective is None:
-        plan = solve(problem, callback=shown, **options)
-    else:
-        plan = solve_for(problem, asked.objective, durations=asked.durations, callback=shown, **options)
+    alone = asked.durations is None and asked.starts == 1 and problem.periodic is None
+    plan = asked.solved(console.iteration if alone else console.row, **options)
     return plan, time.perf_counter() - began
 
 

@@ -109,7 +109,7 @@ class FallbackControl:
             return otherwise
         if not damped:
             return quasi_static_controls(m, x, contacts=False)
-        qd, actuators = x[m.nq : m.nq + m.nv], m.actuators
+        qd, actuators = x[m.velocities], m.actuators
         lengths, rates = actuator_lengths(m, x[: m.nq]), actuators.moment @ qd
         servo = actuators.moment.T @ (force_slopes(actuators, np.zeros(m.nu), lengths, rates).by_rate * rates)
         damping = mass_matrix(m, x[: m.nq]) @ qd / TIME

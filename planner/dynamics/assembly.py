@@ -60,8 +60,8 @@ def assembled(mechanism: Mechanism, x: np.ndarray, given: Collection[int] = (), 
             'that does, or active="false" for the equality in the file.'
         )
     J = jacobian(mechanism, x[:nq]) @ free
-    qd = x[nq : nq + nv]
-    x[nq : nq + nv] = qd - free @ np.linalg.lstsq(J, jacobian(mechanism, x[:nq]) @ qd, rcond=_RANK_TOLERANCE)[0]
+    qd = x[mechanism.velocities]
+    x[mechanism.velocities] = qd - free @ np.linalg.lstsq(J, jacobian(mechanism, x[:nq]) @ qd, rcond=_RANK_TOLERANCE)[0]
     return x
 
 
@@ -96,7 +96,7 @@ def assembled_along(
 
 def _free(mechanism: Mechanism, given: Collection[int]) -> np.ndarray:
     """(nv, n) basis of the velocities that satisfy the couplings with the joints in `given` fixed."""
-    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    G = mechanism.independent_directions
     stay = np.array([*given], dtype=int)
     return G[:, ~np.any(G[stay] != 0.0, axis=0)]
 
@@ -122,9 +122,7 @@ def feasible_directions(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray
 
     Z[leading] is the identity: a velocity that satisfies couplings and loop closures is Z qd[leading].
     """
-    reduction = mechanism.reduction
-    G = np.eye(mechanism.nv) if reduction is None else reduction.G
-    leading = np.arange(mechanism.nv) if reduction is None else reduction.independent
+    G, leading = mechanism.independent_directions, mechanism.independent_dofs
     if not mechanism.has_closed_chains:
         return G, leading
     from scipy.linalg import null_space, qr  # a fifth of a second that `import planner` does not pay
@@ -165,7 +163,7 @@ def check_assembled(name: str, x: np.ndarray, mechanism: Mechanism, most: float 
     check_closed(name, x, mechanism, most)
     if not mechanism.has_closed_chains:
         return
-    q, qd = x[: mechanism.nq], x[mechanism.nq : mechanism.nq + mechanism.nv]
+    q, qd = x[: mechanism.nq], x[mechanism.velocities]
     miss = misses(mechanism, q)
     if np.abs(miss).max() > most:
         raise PlannerError(

@@ -27,9 +27,7 @@ class PlaneContactKinematics:
     """
 
     def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
-        T = np.eye(4)
-        T[:3, 3] = contact.centre
-        self.contact, frame = contact, Frame(contact.link, T)
+        self.contact, frame = contact, Frame.at(contact.link, contact.centre)
         n, law = contact.plane.normal, contact.law
         centre = kinematics.frame_pose(mechanism, q, frame)[:, :3, 3]
         self.e = contact.radius + law.reach + contact.plane.offset - centre @ n
@@ -117,13 +115,12 @@ def contact_kinematics(
 
 def _frame(part: Capsule) -> Frame:
     """Frame at the midpoint of a capsule, with its z axis along the capsule's axis."""
-    T, axis = np.eye(4), part.axis
+    axis, rotation = part.axis, None
     if part.length > 0.0:
         across = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
         across /= np.linalg.norm(across)
-        T[:3, :3] = np.stack([across, np.cross(axis, across), axis], axis=1)
-    T[:3, 3] = part.middle
-    return Frame(part.link, T)
+        rotation = np.stack([across, np.cross(axis, across), axis], axis=1)
+    return Frame.at(part.link, part.middle, rotation)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

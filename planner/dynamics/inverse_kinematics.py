@@ -135,11 +135,8 @@ def residuals(mechanism: Mechanism, q: np.ndarray, target: Target) -> tuple[np.n
 
 def _directions(mechanism: Mechanism, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Basis B (nv, n) of the search directions, and the degree of freedom (n,) of each column."""
-    if mechanism.reduction is None:
-        dofs = np.flatnonzero(free)
-        return np.eye(mechanism.nv)[:, dofs], dofs
-    kept = np.flatnonzero(free[mechanism.reduction.independent])
-    return mechanism.reduction.G[:, kept], mechanism.reduction.independent[kept]
+    kept = np.flatnonzero(free[mechanism.independent_dofs])
+    return mechanism.independent_directions[:, kept], mechanism.independent_dofs[kept]
 
 
 def _from(

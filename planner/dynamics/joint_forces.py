@@ -38,9 +38,8 @@ def actuator_moments(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     moments = actuators.moment.astype(q.dtype)
     poses = world_poses(mechanism, q)
     for one in actuators.wrenches:
-        place, R = np.eye(4), poses[one.frame][:3, :3]
-        place[:3, 3] = one.place
-        J = jacobian(mechanism, q, Frame(one.link, place))[:, one.dofs]
+        R = poses[one.frame][:3, :3]
+        J = jacobian(mechanism, q, Frame.at(one.link, one.place))[:, one.dofs]
         moments[one.actuator, one.dofs] += J[:3].T @ (R @ one.force) + J[3:].T @ (R @ one.torque)
     return moments
 

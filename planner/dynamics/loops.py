@@ -25,6 +25,7 @@ from planner.dynamics import algorithms, kinematics
 from planner.dynamics.joint_forces import friction_forces
 from planner.dynamics.product_of_exponentials import Ad, ad, bias, mass_matrix, twists, world_poses
 from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.coordinates import Coordinate
 from planner.model.couplings import BAUMGARTE_RATE, LoopClosure, PolynomialCoupling
 from planner.model.mechanism import Frame, Mechanism
@@ -78,11 +79,10 @@ def jacobian(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
 def _moves(mechanism: Mechanism, G: np.ndarray, screws: np.ndarray, link: int, T: np.ndarray) -> np.ndarray:
     """Jacobian (6, nv) of a frame at its origin, linear then angular, in the world's axes."""
     place = (G[link] @ T)[:3, 3]
-    J, i = np.zeros((6, mechanism.nv), dtype=G.dtype), link
-    while i >= 0:
+    J = np.zeros((6, mechanism.nv), dtype=G.dtype)
+    for i in chain_of(mechanism.parent, link):
         angular, linear = screws[i, :3], screws[i, 3:]
         J[:, i] = *(linear + cross(angular, place)), *angular
-        i = int(mechanism.parent[i])
     return J
 
 
@@ -118,7 +118,7 @@ def closed_dynamics(
 
     M qdd + h = tau + J'f,   J qdd = -Jdot qd - 2 rate J qd - rate^2 phi
     """
-    J, G = jacobian(mechanism, q), np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    J, G = jacobian(mechanism, q), mechanism.independent_directions
     W = G @ np.linalg.solve(G.T @ mass_matrix(mechanism, q) @ G, G.T)
     free = W @ (tau - bias(mechanism, q, qd))
     wanted = (
@@ -149,13 +149,13 @@ def constraint_forces(dynamics: RigidBodyDynamics, xs: Any, us: Any) -> np.ndarr
     us = array("us", us, ("K", dynamics.nu))
     xs = array("xs", xs, (len(us), dynamics.nx))
     m = dynamics.mechanism
-    q, qd = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv]
+    q, qd = xs[:, : m.nq], xs[:, m.velocities]
     tree = replace(m, loops=(), polynomial_couplings=(), friction_loss=np.zeros(m.nv))
     free = RigidBodyDynamics(replace(tree, couplings=()), dynamics.dt, dynamics.integrator, dynamics.prescribed)
     qdd = dynamics.rates(xs, us)[:, m.nv : 2 * m.nv]
     tau = algorithms.rnea(tree, q, qd, free.rates(xs, us)[:, m.nv : 2 * m.nv])  # not used at prescribed joints
     left = algorithms.rnea(tree, q, qd, qdd) - tau - friction_forces(m, qd, qdd)[0]
-    G = np.eye(m.nv) if m.reduction is None else m.reduction.G
+    G = m.independent_directions
     given = [dof for name in dynamics.prescribed for dof in range(m.nv)[m.joint(name)]]
     G = G[:, ~np.any(G[given] != 0.0, axis=0)]
     W = G @ np.linalg.solve(G.T @ algorithms.mass_matrix(tree, q) @ G, np.broadcast_to(G.T, (len(xs), *G.T.shape)))

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.mechanism import BALL, SCREW, Frame, Mechanism
 from planner.model.passive_forces import drag_wrenches, tendon_forces
 from planner.model.space import conjugate, hat, product
@@ -277,9 +278,7 @@ def jacobian(mechanism: Mechanism, q: np.ndarray, frame: Frame) -> np.ndarray:
     G = world_poses(mechanism, q)
     position = (G[frame.link] @ frame.T)[:3, 3]
     J = np.zeros((6, mechanism.nv), dtype=G.dtype)
-    i = frame.link
-    while i >= 0:
+    for i in chain_of(mechanism.parent, frame.link):
         angular, linear = np.split(Ad(G[i]) @ mechanism.S[i], 2)  # at the world's origin
         J[:, i] = *(linear + np.cross(angular, position)), *angular
-        i = mechanism.parent[i]
     return J

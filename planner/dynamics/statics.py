@@ -26,6 +26,7 @@ from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
 from planner.dynamics.kinematics import center_of_mass, jacobian
 from planner.dynamics.quasi_static import weight
+from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.capabilities import rolling_radii, roots, unactuated_basis
 from planner.model.mechanism import Frame, Mechanism
 
@@ -63,8 +64,7 @@ def static_equilibrium(mechanism: Mechanism, x: Any) -> np.ndarray:
     x = np.array(x, dtype=float) if np.shape(x) == (space.nx,) else np.concatenate(
         [array("x", x, (nq,)), np.zeros(space.nx - nq)]
     )  # fmt: skip
-    x = array("x", x, (space.nx,))
-    x[nq : nq + nv] = 0.0
+    x = mechanism.at_rest(array("x", x, (space.nx,)))
     if not mechanism.contacts:
         raise PlannerError(
             "the mechanism has no contacts, expected some: Mechanism.from_mjcf(..., contacts=ContactLaw(...))."
@@ -300,8 +300,7 @@ def carriers(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
     """(nv,) bool, degrees of freedom between the base and some links (nv,) bool: those that steer wheels."""
     found = np.zeros(mechanism.nv, dtype=bool)
     for i in np.flatnonzero(links):
-        while (i := int(mechanism.parent[i])) >= 0:
-            found[i] = True
+        found[chain_of(mechanism.parent, int(i))[1:]] = True
     return found
 
 

@@ -68,7 +68,7 @@ def unactuated_basis(mechanism: Mechanism) -> np.ndarray:
 
 def _independent_directions(mechanism: Mechanism, *, actuated: bool) -> np.ndarray:
     """(nv, n) columns of G (identity without couplings) that an actuator moves, or that none moves."""
-    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    G = mechanism.independent_directions
     acts_on = np.where(
         mechanism.actuators.by_wrenches[:, None], mechanism.actuators.acts_on, mechanism.actuators.moment
     )
@@ -130,14 +130,14 @@ def ballistic_dofs(mechanism: Mechanism, x0: np.ndarray) -> np.ndarray:
 
     Of trees that begin with a free joint, without contacts, loop closures, tendons or actuators on that joint.
     """
-    root, nv, found = roots(mechanism), mechanism.nv, np.zeros(mechanism.nv, dtype=bool)
+    root, found = roots(mechanism), np.zeros(mechanism.nv, dtype=bool)
     outside = _trees_acted_on(mechanism)
     for links in mechanism.joint_links:
         if links.stop - links.start < 6 or mechanism.parent[links.start] >= 0 or links.start in outside:
             continue
         tree = root == links.start
         held = mechanism.gravcomp_mass[tree].sum() >= mechanism.mass[tree].sum() * (1.0 - 1e-9)
-        carried_off = (np.any(mechanism.gravity) and not held) or np.any(x0[mechanism.nq : mechanism.nq + nv][tree])
+        carried_off = (np.any(mechanism.gravity) and not held) or np.any(x0[mechanism.velocities][tree])
         if carried_off and not mechanism.directly_actuated[links].any():
             found[links.start : links.start + 3] = True
     return found

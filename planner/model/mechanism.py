@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice
+from planner.base.arguments import choice, first_of
 from planner.base.errors import ModelError, PlannerError
 from planner.model.actuators import Actuators
 from planner.model.contact.body_contact import BodyContact, check_body_contact
@@ -51,6 +51,15 @@ class Frame:
 
     link: int
     T: np.ndarray
+
+    @classmethod
+    def at(cls, link: int, point: Any, rotation: np.ndarray | None = None) -> Frame:
+        """The frame at a point (3,) of a link, with the link's axes or with a rotation (3, 3) in them."""
+        T = np.eye(4)
+        T[:3, 3] = point
+        if rotation is not None:
+            T[:3, :3] = rotation
+        return cls(link, T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,6 +279,17 @@ class Mechanism:
         return len(self.parent)
 
     @property
+    def velocities(self) -> slice:
+        """Where a state (qpos, qvel, act) has qvel."""
+        return slice(self.nq, self.nq + self.nv)
+
+    def at_rest(self, xs: np.ndarray) -> np.ndarray:
+        """A copy of states (..., nx) with velocities of zero."""
+        xs = np.array(xs)
+        xs[..., self.velocities] = 0.0
+        return xs
+
+    @property
     def nu(self) -> int:
         """Number of actuators."""
         return self.actuators.nu
@@ -300,6 +320,16 @@ class Mechanism:
         if not self.couplings:
             return None
         return reduce(self.couplings, self.nv, self.directly_actuated)
+
+    @property
+    def independent_directions(self) -> np.ndarray:
+        """G (nv, nr), velocities qd = G z that satisfy the couplings; the identity without couplings."""
+        return np.eye(self.nv) if self.reduction is None else self.reduction.G
+
+    @property
+    def independent_dofs(self) -> np.ndarray:
+        """(nr,) indices of the independent degrees of freedom z; all without couplings."""
+        return np.arange(self.nv) if self.reduction is None else self.reduction.independent
 
     @cached_property
     def space(self) -> StateSpace:
@@ -350,11 +380,10 @@ class Mechanism:
 
     def __str__(self) -> str:
         names = [name or "unnamed" for name in self.joint_names]
-        joints = ", ".join(names[:10]) + (f" and {len(names) - 10} more" if len(names) > 10 else "")
         bodies = len(self.bodies) - 1
         return (
             f"Mechanism({self.nv} degree{'s' * (self.nv != 1)} of freedom, {self.nu} actuator{'s' * (self.nu != 1)}, "
-            f"{bodies} bod{'y' if bodies == 1 else 'ies'}, joints: {joints})"
+            f"{bodies} bod{'y' if bodies == 1 else 'ies'}, joints: {first_of(names, 10)})"
         )
 
     __repr__ = __str__

@@ -32,9 +32,9 @@ import numpy as np
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.base.files import digest_of
-from planner.model.mjcf.attached import attachments, stored_records, with_attached
+from planner.model.mjcf.attached import attachments, stored_records
 from planner.model.mjcf.model_file import open_model_file
-from planner.model.mjcf.obstacles import excluded_pairs, obstacles_of, with_excluded, with_obstacles
+from planner.model.mjcf.obstacles import edits_of, excluded_pairs, obstacles_of
 from planner.model.mjcf.text import is_text
 from planner.model.passive_forces import ExponentialTorque
 from planner.model.urdf.write import as_mjcf, is_urdf
@@ -187,16 +187,9 @@ def origin_of(
 def is_origin(value: Any) -> bool:
     """Whether a JSON value is an origin as a plan's file has it, with a `digest` of the user's model, or empty."""
     kinds = {
-        "path": str,
-        "digest": str,
-        "base": str,
-        "inertia": (str, dict),
-        "floor": bool,
-        "package_path": list,
-        "attach": list,
-        "obstacles": list,
-        "exclude": list,
-    }
+        "path": str, "digest": str, "base": str, "inertia": (str, dict), "floor": bool, "package_path": list,
+        "attach": list, "obstacles": list, "exclude": list,
+    }  # fmt: skip
     return (
         isinstance(value, dict) and all(isinstance(part, kinds.get(key, ())) for key, part in value.items())
         and all(isinstance(one, str) for one in value.get("package_path", ()))
@@ -229,12 +222,7 @@ def read_again(origin: dict[str, Any], file: str | Path | None = None) -> tuple[
         PlannerError: A file cannot be read, or MuJoCo refuses it.
     """
     model = origin["path"] if file is None else file
-    if is_urdf(model):
-        of_urdf = {key: origin[key] for key in URDF_KEYS if key in origin}
-        file_now = open_model_file(*as_mjcf(model, **of_urdf))
-    else:
-        file_now = open_model_file(model)
-    file_now = with_attached(file_now, attachments(origin.get("attach")))
-    file_now = with_obstacles(file_now, obstacles_of(origin.get("obstacles")))
-    file_now = with_excluded(file_now, excluded_pairs(origin.get("exclude")))
+    of_urdf = {key: origin[key] for key in URDF_KEYS if key in origin}
+    file_now = open_model_file(*as_mjcf(model, **of_urdf)) if is_urdf(model) else open_model_file(model)
+    file_now = edits_of(**{key: origin.get(key) for key in ("attach", "obstacles", "exclude")})(file_now)
     return ElementTree.tostring(file_now.root, encoding="unicode"), file_now.files

@@ -87,27 +87,22 @@ class CollisionChecker:
 
 
 def collision_free_motion(
-    clearance_of_pairs: PairClearance,
-    mechanism: Mechanism,
-    x0: np.ndarray,
-    goal: np.ndarray,
-    duration: float,
-    N: int,
-    seed: int = 0,
+    apart: PairClearance, mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, duration: float, N: int
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """States (N+1, nx) along a collision-free path, and controls (N, nu) by inverse dynamics.
 
     None where no path is found, or unless the machine is fully actuated, of hinges and slides, and from rest to rest.
     """
-    nq, nv = mechanism.nq, mechanism.nv
-    moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
-    if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts or np.any(moving):
+    nq, v = mechanism.nq, mechanism.velocities
+    if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts:
         return None
-    path = CollisionChecker(clearance_of_pairs, mechanism).find_path(x0[:nq], goal[:nq], seed)
+    if np.any(x0[v]) or np.any(goal[v]):
+        return None
+    path = CollisionChecker(apart, mechanism).find_path(x0[:nq], goal[:nq])
     if path is None:
         return None
     xs = np.tile(x0, (N + 1, 1))
-    xs[:, :nq], xs[:, nq : nq + nv], _ = along(path, duration, np.arange(N + 1) / N)
+    xs[:, :nq], xs[:, v], _ = along(path, duration, np.arange(N + 1) / N)
     try:
         return xs, inverse_dynamics_controls(mechanism, *along(path, duration, (np.arange(N) + 0.5) / N))
     except PlannerError:  # the actuators do not reach every joint

@@ -123,9 +123,7 @@ def default_weights(
     effort, control, known = _effort(
         dynamics, x0, goal, duration, displacement, stance_error, max_control, gained, rolling
     )
-    stationary = (
-        stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.nq : mechanism.nq + nv] == 0.0)
-    )
+    stationary = stationary_object_dofs(mechanism) & (displacement == 0.0) & (x0[mechanism.velocities] == 0.0)
     jerk_cost = max(1.0, jerk * min_jerk_cost(displacement, duration))
     falling = ballistic_dofs(mechanism, x0)
     ends = jerk_cost * (not stands) * ~stationary * ~falling * ~decided

@@ -13,6 +13,7 @@ import numpy as np
 
 from planner.base.arguments import array, short_repr
 from planner.base.errors import PlannerError
+from planner.base.measured import aligned
 from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import controls_of_mechanism, coordinates_of
 from planner.model.space import StateSpace, euclidean, space_of
@@ -65,12 +66,10 @@ class DerivativeCheck(NamedTuple):
              "not smooth" if np.isnan(one.error) else f"{one.error:.1e}{'' if one.passed else '  WRONG'}")
             for one in ordered[:MAX_ROWS]
         ]  # fmt: skip
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ["  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip() for row in rows]
         more = len(self.entries) - MAX_ROWS
         tail = [f"and {more} more with smaller errors"] if more > 0 else []
         total = f"{wrong} of {len(self.entries)} derivatives differ from the values by more than {DERIVATIVE_BOUND:g}"
-        return "\n".join([*lines, *tail, total])
+        return "\n".join([*aligned(rows), *tail, total])
 
 
 def check_derivatives(part: Any, xs: Any = None, us: Any = None) -> DerivativeCheck:

@@ -13,16 +13,9 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.facts import (
-    Record,
-    actuator_records,
-    body_records,
-    free_bases,
-    gravity_of,
-    joint_records,
-    moving_mass,
-)
+from planner.model.mjcf.facts import Record, actuator_records, body_records, free_bases, joint_records, moving_mass
 from planner.model.mjcf.model_file import ModelFile
+from planner.model.mjcf.model_index import gravity_of
 from planner.model.mjcf.read import read_opened
 from planner.model.mjcf.unmodelled_features import UnmodelledFeatures
 from planner.model.mjcf.unsupported import KINDS, unsupported_elements

@@ -120,7 +120,7 @@ class Trajectory:
 def rates_of(dynamics: Any) -> slice:
     """Indices of the velocities in a state; empty for dynamics without a mechanism."""
     mechanism = capabilities_of(dynamics).mechanism
-    return slice(0, 0) if mechanism is None else slice(mechanism.nq, mechanism.nq + mechanism.nv)
+    return slice(0, 0) if mechanism is None else mechanism.velocities
 
 
 def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -131,7 +131,7 @@ def inverse_dynamics_controls(mechanism: Mechanism, q: np.ndarray, qd: np.ndarra
     are G' tau; closure forces f balance the constrained directions. Redundant actuators get minimum-norm controls.
     """
     actuators = mechanism.actuators
-    G = np.eye(mechanism.nv) if mechanism.reduction is None else mechanism.reduction.G
+    G = mechanism.independent_directions
     G = G[:, ~np.any(G[stationary_object_dofs(mechanism)], axis=0)]
     lengths, rates = actuator_lengths(mechanism, q), qd @ actuators.moment.T
     gain = gains_at(actuators, lengths, rates)
@@ -162,13 +162,12 @@ def straight_line(mechanism: Mechanism, x0: np.ndarray, goal: np.ndarray, durati
     Applicable to a fully actuated tree of hinges and slides without contacts, from rest to rest. Stationary objects
     remain at rest.
     """
-    nq, nv = mechanism.nq, mechanism.nv
-    moving = np.concatenate([x0[nq : nq + nv], goal[nq : nq + nv]])
+    nq, nv, v = mechanism.nq, mechanism.nv, mechanism.velocities
     closed = mechanism.has_closed_chains
     lies = stationary_object_dofs(mechanism)
     if np.any(mechanism.kind[~lies] != SCREW) or np.any(mechanism.space.difference(goal, x0)[:nv][lies]):
         return None
-    if mechanism.contacts or mechanism.body_contacts or closed or np.any(moving):
+    if mechanism.contacts or mechanism.body_contacts or closed or np.any(x0[v]) or np.any(goal[v]):
         return None
     q, *rates = quintic(x0[:nq], goal[:nq], duration, N)
     try:

@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import toml_key
+from planner.base.arguments import first_of, toml_key
 from planner.dynamics.joint_forces import actuator_forces, actuator_lengths
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.actuators import INTEGRATOR
 from planner.model.couplings import contradiction, fixed_dofs
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import machine_roots
-from planner.model.mjcf.facts import Record, free_bases, gravity_of, has_ground, overlaps
-from planner.model.mjcf.model_index import ModelIndex
+from planner.model.mjcf.facts import Record, free_bases, has_ground, overlaps
+from planner.model.mjcf.model_index import ModelIndex, gravity_of
 
 _LIGHT = 1e-4  # share of the median inertia of joints of a kind; a joint with less makes the dynamics stiff
 _MENDED = 1e-2  # share of that median: the proposed armature
@@ -61,7 +61,7 @@ def _actuation(model: Any, joints: list[Record]) -> list[ModelWarning]:
     owned = [int(model.body_rootid[body]) in machines for body in model.jnt_bodyid]
     unnamed = [joint["label"] for joint, own in zip(joints, owned, strict=True) if own and not joint["name"]]
     if unnamed:
-        which = f"{_few(unnamed)} {'has' if len(unnamed) == 1 else 'have'} no name"
+        which = f"{first_of(unnamed, _MAX_PER_KIND)} {'has' if len(unnamed) == 1 else 'have'} no name"
         found.append(ModelWarning(
             f"{which}, so a table of joints cannot name {'it' if len(unnamed) == 1 else 'them'}",
             'name="..." in the file, or start and goal as lists of all positions',
@@ -75,7 +75,8 @@ def _surroundings(model: Any) -> list[ModelWarning]:
         found.append(ModelWarning("gravity is 0", '<option gravity="0 0 -9.81"/>, unless that is meant'))
     elif (free := free_bases(model)) and not has_ground(model):
         floor = '<geom name="floor" type="plane" size="0 0 1"/> in <worldbody>'
-        found.append(ModelWarning(f"{_few(free)} hangs on nothing and there is no floor, so it falls for ever", floor))
+        falls = f"{first_of(free, _MAX_PER_KIND)} hangs on nothing and there is no floor, so it falls for ever"
+        found.append(ModelWarning(falls, floor))
     return found
 
 
@@ -154,7 +155,7 @@ def _coupled(mechanism: Mechanism) -> list[ModelWarning]:
     if contradicted := contradiction(mechanism, ranges):
         return [ModelWarning(f"{contradicted.cause}, expected ranges with a pose that keeps it", contradicted.fix)]
     names = [mechanism.joint_of(int(i)) for i in np.flatnonzero(fixed_dofs(mechanism, ranges))]
-    words = f"equalities and ranges together hold {_few(names)} at one place, so nothing moves there"
+    words = f"equalities and ranges together hold {first_of(names, _MAX_PER_KIND)} at one place, so nothing moves there"
     return [ModelWarning(words, "a wider range in the file, or goals that leave them there")] if names else []
 
 
@@ -192,11 +193,6 @@ def within(values: Any, low: Any, high: Any) -> Any:
     """Whether values are within their ranges up to rounding; arrays of one shape, or numbers."""
     room = _ROUNDING * np.maximum(np.abs(values), 1.0)
     return (low - room <= values) & (values <= high + room)
-
-
-def _few(names: list[str]) -> str:
-    few, more = ", ".join(names[:_MAX_PER_KIND]), len(names) - _MAX_PER_KIND
-    return f"{few} and {more} more" if more > 0 else few
 
 
 def _listed(names: list[str]) -> str:

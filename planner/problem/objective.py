@@ -119,7 +119,7 @@ def _jerk(problem: Problem, weight: float) -> JerkCost:
     mechanism, goal = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
     if mechanism is None or goal is None:
         return JerkCost(problem.dynamics, problem.N, weight)
-    q, v = slice(mechanism.nq, mechanism.nq + mechanism.nv), slice(mechanism.nv, 2 * mechanism.nv)
+    q, v = mechanism.velocities, slice(mechanism.nv, 2 * mechanism.nv)
     at_rest = not goal.x_ref[-1, q].any() and bool(np.abs(goal.Q[-1, v]).max(axis=1).all())
     return JerkCost(problem.dynamics, problem.N, weight, goal.R, from_rest=not problem.x0[q].any(), to_rest=at_rest)
 

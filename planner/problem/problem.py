@@ -20,9 +20,9 @@ from planner.model.twin import Twin
 from planner.problem.appearance import Appearance
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.constraint_stack import ConstraintStack
-from planner.problem.constraints.trajectory_constraints import StateBounds, TrajectoryConstraints
+from planner.problem.constraints.trajectory_constraints import BoundPenalties, StateBounds, TrajectoryConstraints
 from planner.problem.control_bounds import ControlBounds
-from planner.problem.costs.terms import Cost, GoalSpec, check_cost, checked_tolerance
+from planner.problem.costs.terms import Cost, GoalSpec, Quadratic, check_cost, checked_tolerance
 from planner.problem.costs.tracking import states, tracking_of
 from planner.problem.limits import TOLERANCE, Limits
 from planner.problem.problem_parts import Built, Objective, Periodic, Recipe
@@ -198,6 +198,20 @@ class Problem(Built):
         for name, part in (("bounds", bounds), ("ranges", ranges), ("trajectory_constraints", constraints)):
             object.__setattr__(problem, name, part)
         return problem
+
+    def penalized_cost(self, penalties: BoundPenalties | None, xs: np.ndarray, us: np.ndarray) -> float:
+        """The cost along xs (N+1, nx), us (N, nu) with the penalties of trajectory_constraints."""
+        J, constraints = float(self.cost.value(xs, us)), self.trajectory_constraints
+        return J if penalties is None or constraints is None else J + constraints.value(penalties, xs, us)
+
+    def penalized_quadratic(
+        self, penalties: BoundPenalties | None, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray
+    ) -> Quadratic:
+        """The quadratic model of penalized_cost along xs, us; A and B of Eq. 35."""
+        model, constraints = self.cost.quadratize(xs, us), self.trajectory_constraints
+        if penalties is None or constraints is None:
+            return model
+        return constraints.with_penalties(penalties, model, xs, us, A, B)
 
     def __repr__(self) -> str:
         title = "" if self.appearance is None else self.appearance.title

@@ -119,14 +119,11 @@ def straight_reference(
 ) -> np.ndarray:
     """States (N+1, nx) on the straight line from x0 to a goal, both (nx,), at the goal after `moving_share` of N."""
     mechanism, space = dynamics.mechanism, dynamics.space
-    nq, nv = mechanism.nq, mechanism.nv
-    rest = [x.copy() for x in (x0, goal)]
-    for x in rest:
-        x[nq : nq + nv] = 0.0
-    displacement, s = space.difference(rest[1], rest[0]), np.minimum(np.arange(N + 1) / (moving_share * N), 1.0)
-    share, rate, _ = minimum_jerk(s)
-    xs = space.integrate(np.tile(rest[0], (N + 1, 1)), share[:, None] * displacement)
-    xs[:, nq : nq + nv] = rate[:, None] * displacement[:nv] / (moving_share * N * dynamics.dt)
+    nv, start = mechanism.nv, mechanism.at_rest(x0)
+    displacement = space.difference(mechanism.at_rest(goal), start)
+    share, rate, _ = minimum_jerk(np.minimum(np.arange(N + 1) / (moving_share * N), 1.0))
+    xs = space.integrate(np.tile(start, (N + 1, 1)), share[:, None] * displacement)
+    xs[:, mechanism.velocities] = rate[:, None] * displacement[:nv] / (moving_share * N * dynamics.dt)
     xs[0], xs[N] = x0, goal
     return xs
 
@@ -137,11 +134,10 @@ def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray) -> np.ndarray:
     Each is the static control in the middle of its stage, and what balances the servo's own damping there.
     """
     mechanism, servos, space = dynamics.mechanism, servos_of(dynamics), dynamics.space
-    nq, nv, actuators = mechanism.nq, mechanism.nv, mechanism.actuators
     middle = space.integrate(xs[:-1], 0.5 * space.difference(xs[1:], xs[:-1]))
     us = np.array([quasi_static_controls(dynamics, x) for x in middle])
-    rates, own = middle[:, nq : nq + nv] @ actuators.moment.T, us[:, : mechanism.nu]
-    slopes = force_slopes(actuators, own, actuator_lengths(mechanism, middle[:, :nq]), rates)
+    rates, own = middle[:, mechanism.velocities] @ mechanism.actuators.moment.T, us[:, : mechanism.nu]
+    slopes = force_slopes(mechanism.actuators, own, actuator_lengths(mechanism, middle[:, : mechanism.nq]), rates)
     own -= rates * (slopes.by_rate / np.where(slopes.gain == 0.0, 1.0, slopes.gain))
     return np.where(servos, us, 0.0)
 

@@ -20,7 +20,6 @@ from planner.dynamics.assembly import relative_min_singular_value
 from planner.model.capabilities import capabilities_of
 from planner.problem.control_bounds import StepBounds
 from planner.problem.costs.jerk import JerkCost
-from planner.problem.costs.terms import Quadratic
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import terms_of
 from planner.problem.plan import Plan, Status
@@ -66,13 +65,11 @@ def recomputed(
     with np.errstate(all="ignore"):  # a plan may contain any numbers; a NaN passes no bound
         defects = plan.space.difference(problem.dynamics.step(xs[:-1], us), xs[1:])
         A, B = problem.dynamics.linearize(xs, us)
-        quadratic: Quadratic = problem.cost.quadratize(xs, us)
-        if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
-            penalties = plan.bound_penalties
-            if rng is not None:
-                shift = _LAST_STEP * rng.uniform(-1.0, 1.0, penalties.lower.shape)
-                penalties = penalties._replace(lower=penalties.lower + shift, upper=penalties.upper + shift)
-            quadratic = problem.trajectory_constraints.with_penalties(penalties, quadratic, xs, us, A, B)
+        penalties = plan.bound_penalties
+        if penalties is not None and problem.trajectory_constraints is not None and rng is not None:
+            shift = _LAST_STEP * rng.uniform(-1.0, 1.0, penalties.lower.shape)
+            penalties = penalties._replace(lower=penalties.lower + shift, upper=penalties.upper + shift)
+        quadratic = problem.penalized_quadratic(penalties, xs, us, A, B)
         moves = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
         norm = float(np.linalg.norm(lq.projected(lq.reduced_gradient(A, B, quadratic, moves), moves)))
         known = np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite
@@ -168,9 +165,7 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
         scale = max(abs(plan.cost), judged_cost(problem).scale(plan, problem), _unseen(plan, problem))
         left = max(0.0, -now.sweep.value)
         note = "of the cost: what one more step of SLQ promises"
-        if (
-            left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and done
-        ):  # the cost of a light machine may be 1e-10
+        if left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and done:  # a light machine may cost 1e-10
             left, note = 0.0, f"{note}; {left:.3g} of {plan.cost:.3g} is less than what a solve goes on for"
         if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(plan) or _approximate(problem)):
             note = f"of the cost: what {STEPS} more steps of SLQ gain; the next promises {100.0 * left / scale:.3g} %"
@@ -257,9 +252,7 @@ def remaining_decrease(plan: Plan, problem: Problem) -> float:
     first = cost = _cost(plan, problem, xs, us)
     for _ in range(STEPS):
         A, B = problem.dynamics.linearize(xs, us)
-        quadratic = problem.cost.quadratize(xs, us)
-        if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
-            quadratic = problem.trajectory_constraints.with_penalties(plan.bound_penalties, quadratic, xs, us, A, B)
+        quadratic = problem.penalized_quadratic(plan.bound_penalties, xs, us, A, B)
         moves = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
         sweep = lq.riccati(A, B, quadratic, bounds=moves)
         if sweep is None:
@@ -291,9 +284,4 @@ def _rolled(
 
 def _cost(plan: Plan, problem: Problem, xs: np.ndarray, us: np.ndarray) -> float:
     """The cost, including penalties of trajectory constraints with the plan's last multipliers."""
-    if not np.isfinite(xs).all():
-        return np.inf
-    cost = float(problem.cost.value(xs, us))
-    if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
-        cost += problem.trajectory_constraints.value(plan.bound_penalties, xs, us)
-    return cost
+    return problem.penalized_cost(plan.bound_penalties, xs, us) if np.isfinite(xs).all() else np.inf

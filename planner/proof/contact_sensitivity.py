@@ -16,6 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -222,36 +223,27 @@ def _default(model: Any) -> None:
     model.opt.disableflags &= ~int(load_mujoco().mjtDisableBit.mjDSBL_REFSAFE)
 
 
-def _stiffness(factor: float) -> Callable[[Any], None]:
-    def change(model: Any) -> None:
-        for solref in (model.pair_solref, model.geom_solref):
-            direct = solref[:, 0] <= 0.0
-            solref[direct, 0] *= factor
-            solref[~direct, 1] /= np.sqrt(factor)  # a damping ratio: constant damping
-
-    return change
+def _stiffness(factor: float, model: Any) -> None:
+    for solref in (model.pair_solref, model.geom_solref):
+        direct = solref[:, 0] <= 0.0
+        solref[direct, 0] *= factor
+        solref[~direct, 1] /= np.sqrt(factor)  # a damping ratio: constant damping
 
 
-def _damping(factor: float) -> Callable[[Any], None]:
-    def change(model: Any) -> None:
-        inherits = ~np.any(model.pair_solreffriction, axis=1)  # sliding friction has its own solref
-        model.pair_solreffriction[inherits] = model.pair_solref[inherits]
-        for solref in (model.pair_solref, model.geom_solref):
-            direct = solref[:, 0] <= 0.0
-            solref[direct, 1] *= factor
-            solref[~direct] *= (1.0 / factor, factor)  # time constant and damping ratio: constant stiffness
-
-    return change
+def _damping(factor: float, model: Any) -> None:
+    inherits = ~np.any(model.pair_solreffriction, axis=1)  # sliding friction has its own solref
+    model.pair_solreffriction[inherits] = model.pair_solref[inherits]
+    for solref in (model.pair_solref, model.geom_solref):
+        direct = solref[:, 0] <= 0.0
+        solref[direct, 1] *= factor
+        solref[~direct] *= (1.0 / factor, factor)  # time constant and damping ratio: constant stiffness
 
 
-def _friction(factor: float) -> Callable[[Any], None]:
-    def change(model: Any) -> None:
-        model.pair_friction[:, :2] *= factor
-        model.geom_friction[:, 0] *= factor
-
-    return change
+def _friction(factor: float, model: Any) -> None:
+    model.pair_friction[:, :2] *= factor
+    model.geom_friction[:, 0] *= factor
 
 
 GROUNDS: dict[str, Callable[[Any], None]] = {"default contact": _default}
 for _name, _change in (("stiffness", _stiffness), ("damping", _damping), ("friction", _friction)):
-    GROUNDS |= {f"half {_name}": _change(0.5), f"double {_name}": _change(2.0)}
+    GROUNDS |= {f"half {_name}": partial(_change, 0.5), f"double {_name}": partial(_change, 2.0)}

@@ -24,7 +24,6 @@ class FeedbackRateTrial:
 
     sampling: Sampling  # When the gains were applied
     passed: bool  # Whether the replay passed
-    largest_error: np.ndarray  # (ndx,) the largest deviation from the plan over the path; NaN after divergence
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +73,7 @@ def slowest_rate(
 
     def at(sampling: Sampling) -> FeedbackRateTrial:
         run = replay_in(compiled, plan, feedback=True, sampling=sampling, planned=planned, contacts=False)
-        return FeedbackRateTrial(sampling, bool(passes(run)), np.abs(run.error).max(axis=0))
+        return FeedbackRateTrial(sampling, bool(passes(run)))
 
     tried = [at(sampling)]
     while tried[-1].passed and len(tried) < _LEVELS and 4.0 * sampling.period <= problem.duration:

@@ -111,7 +111,4 @@ def _errors(
     if worst.share > 1.0:
         far = np.isfinite(worst.value)
         return errors, f"{worst.value:.2g} {worst.unit or 'in its unit'} off" if far else "the motion runs away"
-    return (
-        errors,
-        f"{unmet[0].value:.2g} {unmet[0].unit or 'in its unit'} from a goal" if unmet else "",
-    )
+    return errors, f"{unmet[0].value:.2g} {unmet[0].unit or 'in its unit'} from a goal" if unmet else ""

@@ -210,14 +210,9 @@ def floats_alone(model: Any) -> bool:
 
 
 def advancing(
-    integrator: str,
-    step: float,
-    model: Any,
-    twin: Twin,
-    space: StateSpace,
-    damping: np.ndarray | None = None,
+    integrator: str, step: float, model: Any, twin: Twin, space: StateSpace, damping: np.ndarray | None = None,
     exact: bool = True,
-) -> Advance | None:
+) -> Advance | None:  # fmt: skip
     """Many steps in MuJoCo: the function (x0, us, steps per control) -> the state after each control, or None.
 
     MuJoCo's own integrators run without reset: the simulator may have more states than the plan. Without `exact` they

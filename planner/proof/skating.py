@@ -25,8 +25,7 @@ def skating(plan: Plan, problem: Problem) -> tuple[str, ...]:
     mechanism = capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not stands_on_ground(mechanism) or not np.isfinite(plan.xs).all():
         return ()
-    nq, nv = mechanism.nq, mechanism.nv
-    qs, qds = plan.xs[:, :nq], plan.xs[:, nq : nq + nv]
+    qs, qds = plan.xs[:, : mechanism.nq], plan.xs[:, mechanism.velocities]
     forces = contact_forces(mechanism, qs, qds).forces
     slip = np.zeros(len(mechanism.contacts))
     for k, contact in enumerate(mechanism.contacts):

@@ -23,7 +23,6 @@ import numpy as np
 from planner.base.measured import Measurement
 from planner.dynamics.function import FunctionDynamics
 from planner.model.coordinates import coordinates_of
-from planner.problem.costs.terms import Quadratic
 from planner.problem.derivative_check import AGREES, DERIVATIVE_BOUND
 from planner.problem.goals import goals_of, terms_of
 from planner.problem.plan import Plan
@@ -163,17 +162,11 @@ class _ReducedHessian:
         self.size, self.B, self.F = float(np.sqrt(scale)), B, A + B @ sweep.K
         bounds = problem.bounds
         held = np.zeros(plan.us.shape, dtype=bool) if bounds is None else bounds.at_bound(plan.xs, plan.us)
-        model = self._model(plan.xs, plan.us, A, B)
+        model = problem.penalized_quadratic(plan.bound_penalties, plan.xs, plan.us, A, B)
         H = model.R + np.swapaxes(B, 1, 2) @ sweep.P[1:] @ B
         H = np.where(held[:, :, None] | held[:, None, :], held[:, :, None] * np.eye(plan.us.shape[1]), H)
         self.inverse = np.linalg.inv(np.linalg.cholesky(H))  # L^-1 (N, nu, nu)
         self.free = ~held
-
-    def _model(self, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray) -> Quadratic:
-        model, constraints = self.problem.cost.quadratize(xs, us), self.problem.trajectory_constraints
-        if self.plan.bound_penalties is not None and constraints is not None:
-            model = constraints.with_penalties(self.plan.bound_penalties, model, xs, us, A, B)
-        return model
 
     def _by_controls(self, ws: np.ndarray) -> np.ndarray:
         """Changes v (K, N, nu) of the controls beside the gains, of coordinates w (K, N, nu)."""
@@ -194,7 +187,7 @@ class _ReducedHessian:
     def _gradient(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N, nu) by w, by the adjoint equation of the closed loop (Eq. 16-18 with A + BK)."""
         A, B = self.problem.dynamics.linearize(xs, us)
-        model, K = self._model(xs, us, A, B), self.sweep.K
+        model, K = self.problem.penalized_quadratic(self.plan.bound_penalties, xs, us, A, B), self.sweep.K
         F, q = A + B @ K, model.q.copy()
         q[:-1] += np.einsum("nji,nj->ni", K, model.r)
         for n in reversed(range(len(us))):
@@ -276,12 +269,8 @@ class _ReducedHessian:
         return us, np.array([self._cost(*one) for one in zip(xs, us, strict=True)])
 
     def _cost(self, xs: np.ndarray, us: np.ndarray) -> float:
-        if not np.isfinite(xs).all():
-            return np.nan
-        cost, constraints = float(self.problem.cost.value(xs, us)), self.problem.trajectory_constraints
-        if self.plan.bound_penalties is not None and constraints is not None:
-            cost += constraints.value(self.plan.bound_penalties, xs, us)
-        return cost
+        finite = np.isfinite(xs).all()
+        return self.problem.penalized_cost(self.plan.bound_penalties, xs, us) if finite else np.nan
 
 
 def cheaper_along_lowest_curvature(

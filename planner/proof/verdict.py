@@ -24,7 +24,7 @@ from typing import Any
 
 from planner.base.gl import load_mujoco
 from planner.base.late_imports import Renderable
-from planner.base.measured import Measurement, Section, dicts_of, rows_of
+from planner.base.measured import Measurement, Section, aligned, dicts_of, rows_of
 from planner.proof.error_propagation import ErrorPropagation
 from planner.proof.goal_regulator import RegulatedRun
 from planner.proof.replays.replaying import Replay
@@ -167,9 +167,7 @@ class Proof(Renderable):
 
     def table(self) -> str:
         """All measurements with their bounds, one line each, then the verdict."""
-        rows = [("step", "measured", "value", "bound", ""), *self.rows()]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        lines = aligned([("step", "measured", "value", "bound", ""), *self.rows()])
         more = [] if self.monte_carlo is None else self.monte_carlo.lines()
         return "\n".join([*lines, *more, str(self)])
 

@@ -253,13 +253,17 @@ class SofterContacts:
         """The problem with contacts that sink `factor` times as deep; the problem itself at 1."""
 
         def softer(one: Any) -> Any:
-            law = one.law
-            own = {"stiffness": law.stiffness / factor, "damping": law.damping / math.sqrt(factor)}
-            return replace(one, law=replace(law, **own, ramp=law.ramp * factor))
+            return replace(one, law=_softened(one.law, factor, factor))
 
         if factor == 1.0:
             return self.problem
         return replace(self.problem, dynamics=with_contacts(self.problem.dynamics, softer, softer), recipe=None)
+
+
+def _softened(law: Any, softer: float, longer: float) -> Any:
+    """A law that is `softer` times as soft, with a ramp `longer` times as long."""
+    stiffness, damping = law.stiffness / softer, law.damping / math.sqrt(softer)
+    return replace(law, stiffness=stiffness, damping=damping, ramp=law.ramp * longer)
 
 
 def with_smoother_friction(problem: Problem) -> Problem:
@@ -281,9 +285,8 @@ class DistantContacts:
         def longer(pair: BodyContact) -> BodyContact:
             if pair not in self._pushing:
                 return pair
-            law, softer = pair.law, max(1.0, factor / 8.0)  # half a ramp deep the force is an eighth of K a
-            own = {"stiffness": law.stiffness / softer, "damping": law.damping / math.sqrt(softer)}
-            return replace(pair, law=replace(law, **own, ramp=law.ramp * factor))
+            # half a ramp deep the force is an eighth of K a
+            return replace(pair, law=_softened(pair.law, max(1.0, factor / 8.0), factor))
 
         if factor == 1.0:
             return self.problem

@@ -332,5 +332,5 @@ def _at_pace(plan: Plan, pace: float) -> Plan:
     assert plan.problem is not None
     mechanism, xs = capabilities_of(plan.problem.dynamics).mechanism, plan.xs.copy()
     if mechanism is not None:
-        xs[:, mechanism.nq : mechanism.nq + mechanism.nv] *= pace
+        xs[:, mechanism.velocities] *= pace
     return replace(plan, xs=xs)

@@ -97,9 +97,7 @@ def with_robust_gains(plan: Plan) -> Plan:
         return plan
     with np.errstate(all="ignore"):  # a diverged trajectory may contain any numbers
         A, B = problem.dynamics.linearize(xs, us)
-        quadratic: Quadratic = problem.cost.quadratize(xs, us)
-        if plan.bound_penalties is not None and problem.trajectory_constraints is not None:
-            quadratic = problem.trajectory_constraints.with_penalties(plan.bound_penalties, quadratic, xs, us, A, B)
+        quadratic = problem.penalized_quadratic(plan.bound_penalties, xs, us, A, B)
         bounds = None if problem.bounds is None else problem.bounds.step_bounds(xs, us)
         if not (np.isfinite(A).all() and np.isfinite(B).all() and quadratic.finite):
             return plan

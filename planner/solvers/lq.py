@@ -94,15 +94,9 @@ def projected(gradient: np.ndarray, bounds: StepBounds | None) -> np.ndarray:
 
 
 def riccati(
-    A: np.ndarray,
-    B: np.ndarray,
-    quadratic: Quadratic,
-    mu: float = 0.0,
-    bounds: StepBounds | None = None,
-    second: np.ndarray | None = None,
-    defects: np.ndarray | None = None,
-    active_bounds: np.ndarray | None = None,
-) -> Sweep | None:
+    A: np.ndarray, B: np.ndarray, quadratic: Quadratic, mu: float = 0.0, bounds: StepBounds | None = None,
+    second: np.ndarray | None = None, defects: np.ndarray | None = None, active_bounds: np.ndarray | None = None,
+) -> Sweep | None:  # fmt: skip
     """Backward sweep, Eq. 31-34 with a Cholesky factorization of R + B'PB + mu I instead of Eq. 31's inverse.
 
     With bounds each stage's k solves a box QP (Tassa, Mansard and Todorov 2014); controls at their bounds have zero

@@ -94,7 +94,8 @@ def close_defects(
     Returns:
         The cost of the final rollout; the iterations, whose costs are J(xs, us) with defects; whether interrupted.
     """
-    xs, history, J = np.concatenate([problem.x0[None], xs[1:]]), list[Iteration](), partial(_value, problem, penalties)
+    xs, history = np.concatenate([problem.x0[None], xs[1:]]), list[Iteration]()
+    J = partial(problem.penalized_cost, penalties)
     rollouts, limit = list[tuple[float, float]](), min(max_iterations, options.max_defect_iterations)
     interrupted = False
     for share in [options.control_share**k for k in range(options.control_trials)] + [0.0]:
@@ -175,9 +176,3 @@ def _step(
             return step, trial_x, trial_u, trial_defects, J
         step *= 0.5
     return 0.0, xs, us, defects, value(xs, us)
-
-
-def _value(problem: Problem, penalties: BoundPenalties | None, xs: np.ndarray, us: np.ndarray) -> float:
-    """The cost J(xs, us) plus the penalties."""
-    J, constraints = problem.cost.value(xs, us), problem.trajectory_constraints
-    return J if penalties is None or constraints is None else J + constraints.value(penalties, xs, us)

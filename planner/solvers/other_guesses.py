@@ -91,10 +91,8 @@ def _written_down(problem: Problem, control: Control) -> np.ndarray | None:
 
 def _at_rest(problem: Problem, x: np.ndarray) -> np.ndarray:
     """A copy of a state (nx,) with zero velocities; unchanged for dynamics without a mechanism."""
-    mechanism, x = capabilities_of(problem.dynamics).mechanism, x.copy()
-    if mechanism is not None:
-        x[mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
-    return x
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    return x.copy() if mechanism is None else mechanism.at_rest(x)
 
 
 def _regulator(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -132,7 +130,7 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int, np.ndarray],
     def state_on_line(n: int, _: np.ndarray) -> np.ndarray:
         x = space.integrate(start, places[n] * way)
         if mechanism is not None:
-            x[mechanism.nq : mechanism.nq + mechanism.nv] = speeds[n] * way[: mechanism.nv]
+            x[mechanism.velocities] = speeds[n] * way[: mechanism.nv]
         if closed is not None:
             with contextlib.suppress(PlannerError):  # else the line without closures
                 return assembled(closed, x)

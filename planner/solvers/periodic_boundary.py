@@ -166,9 +166,7 @@ def response(plan: Plan) -> BoundarySensitivity:
     if np.linalg.eigvalsh(W[np.ix_(closes, closes)]).min() <= 0.0:
         raise PlannerError("what must come back has no final weight in the cost, expected one above 0 on all of it.")
     A, B = problem.dynamics.linearize(plan.xs, plan.us)
-    model, constraints = problem.cost.quadratize(plan.xs, plan.us), problem.trajectory_constraints
-    if plan.bound_penalties is not None and constraints is not None:
-        model = constraints.with_penalties(plan.bound_penalties, model, plan.xs, plan.us, A, B)
+    model = problem.penalized_quadratic(plan.bound_penalties, plan.xs, plan.us, A, B)
     B = _free(problem, plan, B, lq.gradient(A, B, model))
     sweep = lq.riccati(A, B, model)
     if sweep is None:

@@ -108,13 +108,9 @@ class RelaxationStep(NamedTuple):
 
 
 def relax(
-    problem: Problem,
-    direct: Plan,
-    solve_one: SolveOne,
-    options: SolverOptions,
-    callback: Callable[[Any], object] | None,
-    budget: WorkBudget | None = None,
-) -> tuple[Plan, dict[str, Any]]:
+    problem: Problem, direct: Plan, solve_one: SolveOne, options: SolverOptions,
+    callback: Callable[[Any], object] | None, budget: WorkBudget | None = None,
+) -> tuple[Plan, dict[str, Any]]:  # fmt: skip
     """The plan of a relaxation, else the direct one; and a record of its solves for its options.
 
     Args:

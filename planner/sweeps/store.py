@@ -156,10 +156,7 @@ class Store:
                 row = _row(line)
                 if row is None or not 0 <= row["task"] < len(self.places):
                     break
-                if self.places[row["task"]] < 0:
-                    self._count(row)
-                    self.places[row["task"]] = self._end
-                self._end += len(line)
+                self._count(row, line)
 
     def forget(self, tasks: Collection[int]) -> None:
         """Remove rows, so that their tasks are done again; open() removes the plans.
@@ -219,9 +216,7 @@ class Store:
             self._rows.truncate(self._end)
             raise file_error(error, self.folder, expected="folder") from error
         for row, line in lines:
-            self._count(row)
-            self.places[row["task"]] = self._end
-            self._end += len(line)
+            self._count(row, line)
 
     def close(self) -> None:
         """Finish the archives.
@@ -276,10 +271,14 @@ class Store:
         self.statuses: dict[str, int] = {}
         self._end = 0
 
-    def _count(self, row: dict[str, Any]) -> None:
-        self.statuses[row["status"]] = self.statuses.get(row["status"], 0) + 1
-        for name, value in row.items():
-            self.kinds.setdefault(name, set()).add(type(value).__name__)
+    def _count(self, row: dict[str, Any], line: bytes) -> None:
+        """Note a row and where its line is, unless its task has one."""
+        if self.places[row["task"]] < 0:
+            self.statuses[row["status"]] = self.statuses.get(row["status"], 0) + 1
+            for name, value in row.items():
+                self.kinds.setdefault(name, set()).add(type(value).__name__)
+            self.places[row["task"]] = self._end
+        self._end += len(line)
 
 
 def read_head(folder: Path) -> dict[str, Any] | None:

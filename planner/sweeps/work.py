@@ -30,8 +30,6 @@ from planner.problem.objective import with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof import prove
-from planner.solvers.free_time import solve_for
-from planner.solvers.periodic import solve_periodic
 from planner.solvers.slq import solve
 from planner.sweeps.grid import Grid
 
@@ -214,12 +212,7 @@ def _planned(work: Work, task: int, controls: np.ndarray | None) -> tuple[Done, 
     file = work.problem(task)
     problem, neighbour = _from_neighbour(file.problem, controls)
     options: dict[str, Any] = {"starts": file.starts, "seed": file.seed} | work.options
-    if problem.periodic is not None:
-        plan = solve_periodic(problem, callback=heed, **options)
-    elif file.objective is not None:
-        plan = solve_for(problem, file.objective, durations=file.durations, callback=heed, **options)
-    else:
-        plan = solve(problem, callback=heed, **options)
+    plan = file._replace(problem=problem).solved(heed, **options)
     solved = time.perf_counter()
     row: dict[str, Any] = {
         "task": task, **work.grid.point(task), "status": TIMEOUT if late else plan.status.name,

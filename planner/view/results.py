@@ -62,9 +62,7 @@ _ROWS = 10  # of a sweep in a notebook
 _COLUMNS = ("status", "cost", "iterations", "verdict")
 
 
-def page_of(sweep: Sweep) -> Path:
-    """Write the page of a sweep; its path."""
-    return write_sweep_page(sweep)
+page_of = write_sweep_page
 
 
 def html_of_sweep(sweep: Sweep) -> str:

@@ -182,8 +182,9 @@ def test_no_search_for_a_name_near_to_thousands_of_characters():
 
 
 def test_every_command_of_the_parser_has_its_function():
-    from planner.cli.commands import _COMMANDS, _function
+    from planner.cli.commands import _function
+    from planner.cli.parser import COMMANDS
 
     known = next(action.choices for action in parser.build()._actions if action.dest == "command")
-    assert set(_COMMANDS) == set(known)
-    assert all(callable(_function(name)) for name in _COMMANDS)
+    assert set(COMMANDS) == set(known)
+    assert all(callable(_function(name)) for name in COMMANDS)

@@ -14,8 +14,9 @@ from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
 from planner.dynamics import INTEGRATORS
 from planner.kernels.lq import line_search
 from planner.problem.costs.least_squares import ResidualCost
+from planner.problem.costs.tracking import tracking_of
 from planner.problem.rediscretize import finer
-from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine, compiled_costs
+from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 
 
 def some_point(rng, m, N):
@@ -67,9 +68,9 @@ def penalized(text, seed, integrator, full=False, limits=False):
 
 
 def engines(task):
-    costs = compiled_costs(task)
-    assert costs is not None
-    return CompiledEngine(task, task.dynamics, *costs), NumpyEngine(task)
+    ours = acquire_engine(task)
+    assert type(ours) is CompiledEngine
+    return ours, NumpyEngine(task)
 
 
 @machines(24, max_dofs=14, max_bodies=5, integrator=st.sampled_from(INTEGRATORS), feedback=st.booleans())
@@ -101,7 +102,7 @@ def test_the_kernels_model_is_the_costs(text, seed):
     ours.sweep(0.0, True)
     w = ours._w
     xs, us = ours.trajectory()
-    tracking = compiled_costs(task)[0].quadratize(xs, us)
+    tracking = tracking_of(task.cost).quadratize(xs, us)
     models = [cost.quadratize(xs, us) for cost in task.cost.costs if isinstance(cost, ResidualCost)]
     q, Q = (sum(getattr(model, name) for model in models) for name in "qQ")
     theirs = w.l[:, w.first : w.first + task.dynamics.ndx]
@@ -249,10 +250,9 @@ def test_penalties_unknown_to_the_kernels_go_to_numpy(dynamics):
     tracking, low = task.cost.costs
     other = PenaltyCost(Mechanism.from_mjcf(HAND_ARM), N, [Height(Point("tip"), lower=-1.3, tolerance=0.01)], dt=0.025)
     for cost in (tracking + other, tracking + low + tracking):
-        assert compiled_costs(Problem(dynamics, cost, task.x0, horizon=N)) is None
-    assert isinstance(acquire_engine(Problem(dynamics, tracking + other, task.x0)), NumpyEngine)
+        assert isinstance(acquire_engine(Problem(dynamics, cost, task.x0, horizon=N)), NumpyEngine)
     hopper = planner.cases.hopper(height=1.0)
-    assert compiled_costs(hopper) == (hopper.cost, None)
+    assert isinstance(acquire_engine(hopper), CompiledEngine)
 
 
 def test_nothing_wanted_costs_nothing(dynamics):

@@ -22,7 +22,7 @@ from planner.problem.costs.frame import SlipCost
 from planner.problem.costs.least_squares import ResidualCost
 from planner.problem.costs.residual_functions import RESIDUALS
 from planner.problem.rediscretize import finer
-from planner.solvers.engine import CompiledEngine, HybridEngine, NumpyEngine, acquire_engine, compiled_costs
+from planner.solvers.engine import CompiledEngine, HybridEngine, NumpyEngine, acquire_engine
 
 BALL = """
 <mujoco>
@@ -84,9 +84,9 @@ def task_with(text, seed, integrator, full=False, tracking=True, limits=None):
 
 
 def engines(task):
-    costs = compiled_costs(task)
-    assert costs is not None
-    return CompiledEngine(task, task.dynamics, *costs), NumpyEngine(task)
+    ours = acquire_engine(task)
+    assert type(ours) is CompiledEngine
+    return ours, NumpyEngine(task)
 
 
 @machines(12, max_dofs=14, max_bodies=5, integrator=st.sampled_from(INTEGRATORS))
@@ -244,7 +244,7 @@ def test_bounds_and_weights_may_change_between_iterations(arm):
 def test_rows_may_be_one_sided_and_without_a_ramp(arm):
     """Rows of an inequality cost nothing within it; without a ramp they are the squares of an augmented Lagrangian."""
     task = reach(arm)
-    arrays = compiled_costs(task)[1]
+    arrays = task.cost.costs[1].residual_arrays_for(N)
     side = np.array(arrays.side)
     side[0], side[2] = 1.0, -1.0  # x at most 0.9, z at least -1.2
     arrays = replace(arrays, side=side)

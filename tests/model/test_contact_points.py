@@ -11,7 +11,7 @@ from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
 from planner.model.mjcf import contact_shapes
 from planner.model.mjcf.contact_shapes import MAX_POINTS, RADIUS, RIM, points_of, shape_of, sphere_of_directions
 from planner.proof.compare.contact_parity import contact_parity
-from planner.proof.replays.compiled_twin import CompiledTwin, pairs_left_out
+from planner.proof.replays.compiled_twin import CompiledTwin, unmodelled_of
 
 SHAPES = {
     "cylinder": 'type="cylinder" size=".1 .05"',
@@ -82,7 +82,7 @@ def test_mujoco_computes_the_same_forces_and_nothing_is_left_out(shape):
     m = Mechanism.from_mjcf(text(shape, 'condim="6" margin=".002"'))
     dynamics = RigidBodyDynamics(m, 0.01)
     problem = Problem(dynamics, TrackingCost.joints(dynamics, m.home, 5, effort=1.0), m.home, twin=planner.Twin.of(m))
-    assert pairs_left_out(problem) == ()
+    assert unmodelled_of(problem).pairs == ()
     measured = {one.name: one for one in contact_parity(problem, CompiledTwin(problem.twin))}
     for name in ("contact_stiffness_error", "contact_surface_error", "friction_error", "contact_turning_error"):
         assert measured[name].value < 1e-6  # %: the same formula on both sides, to rounding over differences

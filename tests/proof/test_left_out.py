@@ -8,7 +8,7 @@ import pytest
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost, cases
 from planner.contact import ContactLaw
 from planner.problem.costs.jerk import driven_by_jerk
-from planner.proof.replays.compiled_twin import left_out, pairs_left_out
+from planner.proof.replays.compiled_twin import left_out, unmodelled_of
 
 MODEL = """
 <mujoco><option density="1.2">{flag}</option><worldbody><geom name="floor" type="plane" size="1 1 1"/>
@@ -37,7 +37,7 @@ def test_everything_is_counted():
     """Floor and three bodies, of which neighbours do not meet: four pairs."""
     found = problem(Mechanism.from_mjcf(MODEL.format(flag=""), contacts="off", ignore=OUT))
     assert left_out(found) == ("contacts of 4 pairs", *REST)
-    assert pairs_left_out(found)[0] == "geom 'floor' and geom 'ball'"
+    assert unmodelled_of(found).pairs[0] == "geom 'floor' and geom 'ball'"
 
 
 def test_contacts_that_the_file_switches_off_are_not_left_out():

@@ -12,7 +12,7 @@ from planner.model.mjcf.model_index import contact_pairs
 from planner.model.mjcf.text import edited
 from planner.problem.goals import GoalCheck
 from planner.proof.original_model import your_file
-from planner.proof.replays.compiled_twin import CompiledTwin, left_out, pairs_left_out
+from planner.proof.replays.compiled_twin import CompiledTwin, left_out, unmodelled_of
 from planner.proof.replays.replaying import replay_in
 
 # An arm of 1 m on a vertical axis, and a wall that its tip meets at 0.8 rad.
@@ -72,7 +72,7 @@ def test_an_arm_that_stays_clear_of_the_wall_passes_and_says_what_it_lacks():
     assert failed == {}
     assert section.passed
     assert left_out(plan.problem) == ("contacts of 1 pair",)
-    assert pairs_left_out(plan.problem) == ("geom 'wall' and geom 'arm'",)
+    assert unmodelled_of(plan.problem).pairs == ("geom 'wall' and geom 'arm'",)
     proof = planner.prove(plan, rollouts=0)
     assert ", planned without contacts of 1 pair (tested in your file)" in proof.headline
     assert not any("contacts" in phrase for phrase in proof.not_checked)  # the wall was there, and was not touched
@@ -117,7 +117,7 @@ def test_a_cylinder_beside_contacts_that_are_modelled():
     plan = planner.solve(problem(text, 1.6, contacts=law))
     assert plan.problem.dynamics.mechanism.contacts
     assert left_out(plan.problem) == ("contacts of 1 pair",)
-    assert pairs_left_out(plan.problem) == ("geom 'wall' and geom 'arm'",)
+    assert unmodelled_of(plan.problem).pairs == ("geom 'wall' and geom 'arm'",)
     assert "geom 'wall' and geom 'arm' touch from t = 0." in judged(plan, 1.6)[1]["unknown_contacts"]
 
 

@@ -181,14 +181,7 @@ def _clearance(step: GaitPhase, tol: StepTolerances) -> list[Any]:
         on = (part > 0.0) & (part < 1.0) if step.walker.belt else np.ones(step.N + 1, dtype=bool)
         wanted = tol.clearance * np.clip(np.minimum(part / up, (1.0 - part) / down), 0.0, 1.0)
         terms += [
-            _foot(
-                side,
-                end,
-                tol,
-                tol.clearance_tolerance,
-                tol.period,
-                lower=np.where(on, wanted, np.nan),
-            )
+            _foot(side, end, tol, tol.clearance_tolerance, tol.period, lower=np.where(on, wanted, np.nan))
             for end in ("heel", "toe")
         ]
     return terms
@@ -240,14 +233,7 @@ def _leg_distances(step: GaitPhase, tol: StepTolerances) -> list[Any]:
         (shank, other_foot, tol.foot_distance), (foot, other_shank, tol.foot_distance),
     )  # fmt: skip
     return [
-        Distance(
-            a,
-            b,
-            lower=least,
-            tolerance=tol.distance_tolerance,
-            ramp=tol.ramp,
-            weight=1.0 / tol.period,
-        )
+        Distance(a, b, lower=least, tolerance=tol.distance_tolerance, ramp=tol.ramp, weight=1.0 / tol.period)
         for a, b, least in pairs
     ]
 

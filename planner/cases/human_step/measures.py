@@ -71,7 +71,7 @@ class Measures:
 def measures(step: GaitPhase, xs: np.ndarray) -> Measures:
     """Measure states (N+1, nx) at the knots."""
     m = step.walker.mechanism
-    q, qd, sides = xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], step.walker.legs
+    q, qd, sides = xs[:, : m.nq], xs[:, m.velocities], step.walker.legs
     deviation = q - step.states[:, : m.nq]
     legs, pelvis = places(step)
     standing = {side: _stands(step, side) for side in sides}
@@ -137,9 +137,7 @@ def slip(step: GaitPhase, q: np.ndarray, qd: np.ndarray) -> float:
         return 0.0
     speeds = np.zeros(forces.shape)
     for k, contact in enumerate(m.contacts):
-        T = np.eye(4)
-        T[:3, 3] = contact.centre
-        v = np.einsum("kaj,kj->ka", jacobian(m, q, Frame(contact.link, T))[:, :2], qd)
+        v = np.einsum("kaj,kj->ka", jacobian(m, q, Frame.at(contact.link, contact.centre))[:, :2], qd)
         v[:, 0] -= qd[:, m.joint("belt").start]
         speeds[:, k] = np.linalg.norm(v, axis=1)
     return float(np.sum(forces * speeds) / np.sum(forces))
@@ -148,7 +146,7 @@ def slip(step: GaitPhase, q: np.ndarray, qd: np.ndarray) -> float:
 def robot_wrench(dynamics: RigidBodyDynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
     """Forces and moments (N, 6) of the robot on the pelvis along xs (N+1, nx), us (N, nu), in N and N m."""
     m, N = dynamics.mechanism, len(us)
-    q, qd = xs[:N, : m.nq], xs[:N, m.nq : m.nq + m.nv]
+    q, qd = xs[:N, : m.nq], xs[:N, m.velocities]
     qdd = dynamics.rates(xs[:N], us)[:, m.nv : 2 * m.nv]
     # a pelvis whose jerk is the control has an artificial armature
     tau = rnea(m, q, qd, qdd) - m.armature * qdd - generalized_forces(m, q, qd)

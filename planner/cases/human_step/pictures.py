@@ -143,7 +143,7 @@ def _foot_force(step: GaitPhase, motions: Motions) -> Chart:
     m = step.walker.mechanism
 
     def upward(side: str, t: np.ndarray, xs: np.ndarray) -> np.ndarray:
-        return vertical_force(step, xs[:, : m.nq], xs[:, m.nq : m.nq + m.nv], side)
+        return vertical_force(step, xs[:, : m.nq], xs[:, m.velocities], side)
 
     return Chart("Belt on a foot, upwards", "force, N", _of_legs(step, motions, upward), None, _swing(step))
 

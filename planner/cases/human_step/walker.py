@@ -261,7 +261,5 @@ class _InverseWeights:
     def of_body(self, name: str) -> float:
         """Inverse inertia felt at the centre of mass of a body, mean over three directions."""
         link = self.mechanism.frame(name).link
-        T = np.eye(4)
-        T[:3, 3] = self.mechanism.com[link]
-        J = jacobian(self.mechanism, self.q, Frame(link, T))[:3]
+        J = jacobian(self.mechanism, self.q, Frame.at(link, self.mechanism.com[link]))[:3]
         return float(np.trace(J @ self.inverse @ J.T)) / 3.0

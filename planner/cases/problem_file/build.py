@@ -45,6 +45,7 @@ In place of a machine of one's own the file may name a case of the package, with
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -100,26 +101,19 @@ from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.limits import Limits
 from planner.problem.model_lint import ranges_in_degrees
 from planner.problem.objective import durations_or_default, with_objective
+from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import PROBLEM_FILE, Recipe
 from planner.problem.reaching_cost import straight_reference, weighed
+from planner.solvers.free_time import solve_for
+from planner.solvers.periodic import solve_periodic
+from planner.solvers.slq import solve
 from planner.solvers.waypoints import WAYPOINTS
 
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
-TOLD = (
-    "model",
-    "start",
-    "contacts",
-    "goal",
-    "closed",
-    "settle",
-    "stops",
-    "gait",
-    "avoid",
-    "dt",
-    "substeps",
-)  # of what is done by itself: told at once
+# What is done by itself and told at once.
+TOLD = ("model", "start", "contacts", "goal", "closed", "settle", "stops", "gait", "avoid", "dt", "substeps")
 # Of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion. Of closed chains it
 # counts what is gained, not only what is promised: towards the end less than a hundredth of the promise comes, perhaps
 # because Gauss-Newton leaves out how the forces of chains turn.
@@ -136,6 +130,14 @@ class ProblemFile(NamedTuple):
     durations: list[float] | None  # the shortest and the longest, s, for an objective with time
     notes: tuple[str, ...] = ()  # sentences about contacts, and about what was done to start and goal
     work: float | None = None  # of the run
+
+    def solved(self, callback: Callable[[Any], object], **options: Any) -> Plan:
+        """The plan, by the solver that the problem asks for; options are those of solve()."""
+        if self.problem.periodic is not None:
+            return solve_periodic(self.problem, callback=callback, **options)
+        if self.objective is None:
+            return solve(self.problem, callback=callback, **options)
+        return solve_for(self.problem, self.objective, durations=self.durations, callback=callback, **options)
 
 
 def load(path: str | Path, **instead: Any) -> ProblemFile:
@@ -309,9 +311,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     if tasked and limits is not None:
         limits.check_start(dynamics, x0)
     way = resolve_task(table, dynamics, x0, N, limits, avoid, (*asked, *constraints)) if tasked else None
-    apart = None if way is None else way.apart
-    if avoid is not None and way is None:
-        apart = avoid.constraint(mechanism, x0, goal)
+    apart = way.apart if way is not None else None if avoid is None else avoid.constraint(mechanism, x0, goal)
     if apart is not None:
         told, *details = apart.notes
         reasons["avoid"] = f"{told.removesuffix('.')}; the report names them." if details else told

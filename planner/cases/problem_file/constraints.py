@@ -27,6 +27,7 @@ upper = 100.0                        # N
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from planner.base.arguments import array, choice, number, short_repr
@@ -101,15 +102,11 @@ def _along(where: str, table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _power(where: str, table: dict[str, Any]) -> dict[str, Any]:
-    if not isinstance(table["power"], str):
-        raise PlannerError(f"{where}'s power is {short_repr(table['power'])}, expected the name of an actuator.")
-    return {"of": Power(table["power"]), **_between(where, table)}
+    return {"of": Power(_name(where, table, "power", "an actuator")), **_between(where, table)}
 
 
 def _chain(where: str, table: dict[str, Any]) -> dict[str, Any]:
-    if not isinstance(table["chain"], str):
-        raise PlannerError(f"{where}'s chain is {short_repr(table['chain'])}, expected the name of an equality.")
-    return {"of": ChainForce(table["chain"]), **_between(where, table)}
+    return {"of": ChainForce(_name(where, table, "chain", "an equality")), **_between(where, table)}
 
 
 def _between(where: str, table: dict[str, Any]) -> dict[str, Any]:
@@ -123,10 +120,13 @@ def _direction(name: str, value: Any) -> Any:
     return AXES[choice(name, value, AXES)] if isinstance(value, str) else array(name, value, (3,))
 
 
-def _frame(where: str, table: dict[str, Any]) -> str:
-    if not isinstance(table["frame"], str):
-        raise PlannerError(f"{where}'s frame is {short_repr(table['frame'])}, expected the name of a site or body.")
-    return table["frame"]
+def _name(where: str, table: dict[str, Any], key: str, what: str) -> str:
+    if not isinstance(table[key], str):
+        raise PlannerError(f"{where}'s {key} is {short_repr(table[key])}, expected the name of {what}.")
+    return table[key]
+
+
+_frame = partial(_name, key="frame", what="a site or body")
 
 
 _KINDS: dict[str, tuple[Callable[[str, dict[str, Any]], dict[str, Any]], tuple[str, ...]]] = {

@@ -119,7 +119,7 @@ def _settled(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:
 
 def _lower_to_ground(name: str, x: np.ndarray, mechanism: Mechanism) -> tuple[np.ndarray, str]:
     """The state on the ground, or as it is, and a sentence about it; "" where there is nothing to say."""
-    if np.any(x[mechanism.nq : mechanism.nq + mechanism.nv]):
+    if np.any(x[mechanism.velocities]):
         return x, f"{name} is not put on the ground, since it moves."
     try:
         there = static_equilibrium(mechanism, x)

@@ -100,7 +100,7 @@ def _closed(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory | None:
     if not mechanism.has_closed_chains:
         return None
     poses = np.stack([problem.x0, goal])[:, : mechanism.nq]
-    rest = ~np.any(np.stack([problem.x0, goal])[:, mechanism.nq : mechanism.nq + mechanism.nv], axis=1)
+    rest = ~np.any(np.stack([problem.x0, goal])[:, mechanism.velocities], axis=1)
     found = closed_chain_reference(mechanism, problem.x0, np.array([0, problem.N]), poses, rest, dynamics.dt)
     return None if found is None else ReferenceTrajectory(found.controls, found.states, direct=True)
 

@@ -36,7 +36,7 @@ def at_rest_on_stops(
     """
     found = []
     for name, x in (("start", x0), ("goal", goal)):
-        moves = bool(np.any(x[mechanism.nq : mechanism.nq + mechanism.nv]))
+        moves = bool(np.any(x[mechanism.velocities]))
         asked = table.get(name)
         names = asked if isinstance(asked, dict) else {}
         given = {dof for joint in names for dof in range(*mechanism.joint(joint).indices(mechanism.nv))}

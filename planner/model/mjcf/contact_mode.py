@@ -20,13 +20,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planner.base.arguments import first_of
 from planner.base.gl import load_mujoco
 from planner.model.mjcf.contact_shapes import meets_plane, plane_of
 from planner.model.mjcf.contacts import is_modelled
 from planner.model.mjcf.file_law import file_law_reason
 from planner.model.mjcf.ground_law import mass_of
 from planner.model.mjcf.joint_forces import has_wrenches, wrenches_of
-from planner.model.mjcf.model_index import ModelIndex, Pair, disabled, named
+from planner.model.mjcf.model_index import ModelIndex, Pair, gravity_of, named
 from planner.model.mjcf.unsupported import no_compensation
 
 MODES = ("auto", "avoid", "file", "ground", "model", "off")
@@ -137,9 +138,8 @@ def _of_lying(survey: ModelIndex, kept: Sequence[int]) -> str:
     names = [named(survey.model, "body", body) for body in kept]
     if not names:
         return ""
-    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
     stays = "stays" if len(names) == 1 else "stay"
-    words = f"{', '.join(names[:MAX_NAMED])}{more} {stays} at the start, since nothing drives it and what it lies on"
+    words = f"{first_of(names, MAX_NAMED)} {stays} at the start, since nothing drives it and what it lies on"
     return f"; {words} has no law in the plan"
 
 
@@ -162,7 +162,7 @@ def _pairs(number: int) -> str:
 def falling_trees(survey: ModelIndex) -> dict[int, bool]:
     """The root bodies of trees that can fall, and whether an actuator drives anything in them."""
     model, home, joints = survey.model, survey.home, load_mujoco().mjtJoint
-    gravity = np.array(model.opt.gravity) * (not disabled(model, "gravity"))
+    gravity = gravity_of(model)
     if not np.any(gravity):
         return {}
     actuated = actuated_dofs(survey)

@@ -162,11 +162,6 @@ def free_bases(model: Any) -> list[str]:
     return [named(model, "body", body) for body in found if int(model.body_rootid[body]) in free]
 
 
-def gravity_of(model: Any) -> np.ndarray:
-    """(3,) m/s^2, 0 where it is switched off."""
-    return np.array(model.opt.gravity) * (not disabled(model, "gravity"))
-
-
 def moving_mass(model: Any) -> float:
     """The mass of all bodies that move, kg."""
     return float(np.sum(model.body_mass[model.body_weldid != 0]))

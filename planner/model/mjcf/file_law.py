@@ -33,7 +33,7 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.base.gl import load_mujoco
 from planner.model.contact.laws import ContactLaw
-from planner.model.mjcf.model_index import ModelIndex, Pair, compile_model, disabled, field, named
+from planner.model.mjcf.model_index import ModelIndex, Pair, body_chain, compile_model, disabled, field, named
 from planner.model.mjcf.text import written
 
 MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
@@ -147,14 +147,13 @@ def turns_edges(survey: ModelIndex, pair: Pair) -> bool:
     capsules = [geom for geom in pair.geoms if model.geom_type[geom] == int(load_mujoco().mjtGeom.mjGEOM_CAPSULE)]
     if not is_pyramidal(model, pair) or not capsules:
         return False
-    body, hinges = int(model.geom_bodyid[capsules[0]]), []
-    while body > 0:
+    hinges = []
+    for body in body_chain(model, int(model.geom_bodyid[capsules[0]])):
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
             if model.jnt_type[joint] in (int(joints.mjJNT_FREE), int(joints.mjJNT_BALL)):
                 return True
             if model.jnt_type[joint] == int(joints.mjJNT_HINGE):
                 hinges.append(survey.home.xaxis[joint])
-        body = int(model.body_parentid[body])
     along = survey.home.geom_xmat[capsules[0]].reshape(3, 3)[:, 2]
     if not hinges:
         return bool(np.sort(np.abs(along[:2]))[0] > ALONG_AXIS)

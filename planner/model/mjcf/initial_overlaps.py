@@ -23,7 +23,7 @@ from planner.base.gl import load_mujoco
 from planner.model.mjcf.contact_edits import elements_of_geoms
 from planner.model.mjcf.contact_mode import falling_trees
 from planner.model.mjcf.file_law import watch
-from planner.model.mjcf.model_index import ModelIndex
+from planner.model.mjcf.model_index import ModelIndex, body_chain
 
 GRIDS = {1: 65, 2: 17}  # poses of each joint, by the number of joints between two shapes
 TRIED = 20  # poses, to find one in which a pair is apart
@@ -123,7 +123,7 @@ def _distances(model: Any, data: Any, pairs: Collection[tuple[int, int]], most: 
 
 def _bodies_between(model: Any, pair: tuple[int, int]) -> tuple[list[int], list[int]]:
     """The bodies that carry each geom of a pair and not the other, the innermost first."""
-    chains = [_chain(model, int(model.geom_bodyid[geom])) for geom in pair]
+    chains = [body_chain(model, int(model.geom_bodyid[geom])) for geom in pair]
     common = set(chains[0]) & set(chains[1])
     return tuple([body for body in chain if body not in common] for chain in chains)  # pyright: ignore
 
@@ -133,13 +133,6 @@ def _joints_between(model: Any, pair: tuple[int, int]) -> list[int]:
     first, count = model.body_jntadr, model.body_jntnum
     bodies = [body for chain in _bodies_between(model, pair) for body in chain]
     return [int(first[body]) + k for body in bodies for k in range(count[body])]
-
-
-def _chain(model: Any, body: int) -> list[int]:
-    chain = [body]
-    while chain[-1] > 0:
-        chain.append(int(model.body_parentid[chain[-1]]))
-    return chain
 
 
 def _ball(survey: ModelIndex, geom: int, bodies: list[int]) -> tuple[np.ndarray, float]:

@@ -67,6 +67,20 @@ def named(model: Any, kind: str, index: int) -> str:
     return f"{kind} number {index} of body {body!r}" if body else f"{kind} number {index}"
 
 
+def body_chain(model: Any, body: int) -> list[int]:
+    """A body and those that carry it, the innermost first, without the world."""
+    chain = []
+    while body > 0:
+        chain.append(body)
+        body = int(model.body_parentid[body])
+    return chain
+
+
+def gravity_of(model: Any) -> np.ndarray:
+    """(3,) m/s^2, 0 where it is switched off."""
+    return np.array(model.opt.gravity) * (not disabled(model, "gravity"))
+
+
 def flag_bit(group: str, prefix: str, name: str) -> int:
     """The bit of a flag; 0 where this release of MuJoCo does not have it."""
     return int(getattr(getattr(load_mujoco(), f"mjt{group}Bit"), f"mj{prefix}_{name.upper()}", 0))

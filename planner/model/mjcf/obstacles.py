@@ -14,7 +14,7 @@ verdict names them. Shapes of a file often overlap where the real robot's do not
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ import numpy as np
 
 from planner.base.arguments import array, choice, did_you_mean, numbers, quaternion, short_repr
 from planner.base.errors import ModelError, PlannerError
-from planner.model.mjcf.attached import records_of
+from planner.model.mjcf.attached import attachments, records_of, with_attached
 from planner.model.mjcf.model_file import ModelFile
 from planner.model.mjcf.model_index import NEVER_REPLAYED, ModelIndex, compile_model
 from planner.model.mjcf.text import written
@@ -155,6 +155,16 @@ def with_obstacles(file: ModelFile, given: Sequence[Obstacle]) -> ModelFile:
 
 
 BodyPair = tuple[str, str]
+
+
+def edits_of(attach: Any = None, obstacles: Any = None, exclude: Any = None) -> Callable[[ModelFile], ModelFile]:
+    """The edits of a file, checked, in the order in which they are made.
+
+    Raises:
+        PlannerError: See attachments, obstacles_of and excluded_pairs.
+    """
+    given, around, apart = attachments(attach), obstacles_of(obstacles), excluded_pairs(exclude)
+    return lambda file: with_excluded(with_obstacles(with_attached(file, given), around), apart)
 
 
 def excluded_pairs(value: Any) -> tuple[BodyPair, ...]:

@@ -16,13 +16,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from planner.base.arguments import choice, short_repr
+from planner.base.arguments import choice, first_of, short_repr
 from planner.base.errors import ModelError, PlannerError
 from planner.base.gl import load_mujoco
 from planner.model.capabilities import rolling_radii
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
-from planner.model.mjcf.attached import attachments, with_attached
 from planner.model.mjcf.contact_edits import give_law, let_float
 from planner.model.mjcf.contact_mode import (
     MODES,
@@ -33,13 +32,7 @@ from planner.model.mjcf.contact_mode import (
     select_contact_mode,
     stationary_roots,
 )
-from planner.model.mjcf.contacts import (
-    CONTACT_RAMP,
-    CONTACT_UNCERTAINTY,
-    contact_refusals,
-    phrase_of,
-    read_contacts,
-)
+from planner.model.mjcf.contacts import CONTACT_RAMP, CONTACT_UNCERTAINTY, contact_refusals, phrase_of, read_contacts
 from planner.model.mjcf.equalities import harden, read_cams, read_couplings, read_loops, read_tendons
 from planner.model.mjcf.file_law import FILE_SMOOTHING, file_law
 from planner.model.mjcf.ground_law import UNCERTAINTY, laws_of_ground
@@ -53,13 +46,14 @@ from planner.model.mjcf.model_index import (
     compile_model,
     disabled,
     field,
+    gravity_of,
     names_of,
     pose,
     ranges_of,
     texts_of,
     velocity_limits,
 )
-from planner.model.mjcf.obstacles import excluded_pairs, obstacles_of, with_excluded, with_obstacles
+from planner.model.mjcf.obstacles import edits_of
 from planner.model.mjcf.stops import keep_time_constants, read_stops
 from planner.model.mjcf.text import written
 from planner.model.mjcf.unsupported import (  # fmt: skip
@@ -96,13 +90,9 @@ def read(
 
     With `assets` nothing is read from disk. Messages call the model `name`, by default after its file.
     """
-    given, around, apart = attachments(attach), obstacles_of(obstacles), excluded_pairs(exclude)
+    edited = edits_of(attach, obstacles, exclude)
     model, assets = mjcf_source(model, assets)
-    mechanism = read_opened(
-        lambda: with_excluded(
-            with_obstacles(with_attached(open_model_file(model, assets, name), given), around), apart
-        ), ignore=ignore, contacts=contacts,
-    )  # fmt: skip
+    mechanism = read_opened(lambda: edited(open_model_file(model, assets, name)), ignore=ignore, contacts=contacts)
     return mechanism if assets is not None else replace(mechanism, origin=origin_of(model, attach, obstacles, exclude))
 
 
@@ -206,12 +196,11 @@ def _refuse(found: list[UnsupportedElement], name: str, survey: ModelIndex) -> N
     if not found:
         return
     kinds = dict.fromkeys(refusal.kind for refusal in found)
-    more = f" and {len(found) - MAX_PHRASES} more" if len(found) > MAX_PHRASES else ""
     options = [f'"{kind}"' for kind in kinds if kind in KINDS]
     ways = [f"ignore = [{', '.join(options)}]"] if options else []
     ways += [f'contacts = "{select_contact_mode(survey).mode}"'] if "contacts" in kinds else []
     firm = [kind for kind in kinds if kind not in KINDS and kind != "contacts"]
-    what = ", ".join(refusal.phrase for refusal in found[:MAX_PHRASES]) + more
+    what = first_of([refusal.phrase for refusal in found], MAX_PHRASES)
     if firm:
         advice = f"nothing takes a {' or '.join(firm)} out"
         raise ModelError(f"{name} has what changes its motion and is not modelled: {what}; {advice}.")
@@ -268,7 +257,7 @@ def _mechanism(
         **_masses(model, links, poses), armature=armature, damping=damping,
         stiffness=np.where(kind == SCREW, stiffness, 0.0), spring_rest=rest, ball_stiffness=stiffness[balls],
         ball_rest=unit(np.array([model.qpos_spring[a : a + 4] for a in screws["q_address"][balls]]).reshape(-1, 4)),
-        gravity=np.array(model.opt.gravity) * (not disabled(model, "gravity")), actuators=actuators,
+        gravity=gravity_of(model), actuators=actuators,
         joint_names=names_of(model, "joint", model.njnt), joint_range=_joint_ranges(model),
         joint_links=tuple(slice(a, b) for a, b in itertools.pairwise(dofs)),
         joint_force_range=ranges_of(model.jnt_actfrclimited, model.jnt_actfrcrange)[model.dof_jntid],

@@ -16,6 +16,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from planner.base.arguments import first_of
 from planner.base.errors import ModelError
 from planner.model.mjcf.model_index import compile_model, pose
 from planner.model.mjcf.text import written
@@ -136,8 +137,7 @@ def _accepted(body: Inertial) -> Inertial:
 
 def listed(links: list[str], kind: str = "link") -> str:
     """Names for a sentence, the first of many: "links 'a', 'b'"."""
-    more = f" and {len(links) - _NAMED} more" if len(links) > _NAMED else ""
-    return f"{kind}{'s' * (len(links) > 1)} {', '.join(map(repr, links[:_NAMED]))}{more}"
+    return f"{kind}{'s' * (len(links) > 1)} {first_of(list(map(repr, links)), _NAMED)}"
 
 
 def _refusal(robot: Robot, links: list[str], name: str) -> str:

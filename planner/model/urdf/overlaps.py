@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.model_index import NEVER_REPLAYED, compile_model
+from planner.model.mjcf.model_index import NEVER_REPLAYED, body_chain, compile_model
 
 DEEP = 1e-3  # m: less is how the shapes were rounded
 NEAR_BASE = 3  # joints that part a link from the base, at most
@@ -51,10 +51,5 @@ def exclude_overlaps(root: Element, files: dict[str, bytes], name: str) -> None:
 
 def _are_near(model: Any, first: int, second: int) -> bool:
     """Whether both bodies move, or the one that does is at most NEAR_BASE joints from what does not."""
-    joints = []
-    for body in (first, second):
-        joints.append(0)
-        while body > 0:
-            joints[-1] += int(model.body_jntnum[body])
-            body = int(model.body_parentid[body])
+    joints = [int(model.body_jntnum[body_chain(model, body)].sum()) for body in (first, second)]
     return min(joints) > 0 or max(joints) <= NEAR_BASE

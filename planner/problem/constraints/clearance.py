@@ -102,12 +102,8 @@ class PairClearanceFunction(KernelResidual):
         """(K, P) m, the exact distances of all pairs, for pictures."""
         return self._distances.values(self._q(xs)) + self._offset
 
-    def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K, P, ndx) and zeros (K, P, nu)."""
-        by_x = np.zeros((len(xs), self.rows, self._ndx))
-        own = self._distances.derivatives(self._q(xs), self._exact_below)[1]
-        by_x[:, :, : own.shape[2]] = own
-        return by_x, np.zeros((len(xs), self.rows, self._nu))
+    def _jacobian(self, xs: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return self._distances.derivatives(self._q(xs), self._exact_below)[1]
 
     def clearance_violation(self, dynamics: Dynamics, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """The largest violation (N, P), m, on each stage of a trajectory xs (N+1, nx), us (N, nu).

@@ -82,7 +82,7 @@ class PowerFunction:
     def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Force and speed (K,)."""
         m = self._mechanism
-        return forces_at(*_acting(m, xs, us))[:, self._a], xs[:, m.nq : m.nq + m.nv] @ m.actuators.moment[self._a]
+        return forces_at(*_acting(m, xs, us))[:, self._a], xs[:, m.velocities] @ m.actuators.moment[self._a]
 
     def values(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> np.ndarray:
         """(K, 1) W."""

@@ -50,10 +50,13 @@ class KernelResidual:
 
     def derivatives(self, xs: np.ndarray, us: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, R, ndx) and zeros (K, R, nu)."""
-        by_x = np.zeros((len(xs), self.rows, self._ndx))
-        own = values_and_jacobians(self.mechanism, self.arrays.along(n), xs[:, : self._nx])[1]
+        by_x, own = np.zeros((len(xs), self.rows, self._ndx)), self._jacobian(xs, n)
         by_x[:, :, : own.shape[2]] = own
         return by_x, np.zeros((len(xs), self.rows, self._nu))
+
+    def _jacobian(self, xs: np.ndarray, n: np.ndarray) -> np.ndarray:
+        """(K, R, k) by the first k components of a deviation; zero by the others."""
+        return values_and_jacobians(self.mechanism, self.arrays.along(n), xs[:, : self._nx])[1]
 
     def second_derivatives(self, xs: np.ndarray, n: np.ndarray, gradients: np.ndarray) -> np.ndarray:
         """(K, ndx, ndx) second derivatives weighted by penalty gradients (K, R), of FrameAxisAngle alone.

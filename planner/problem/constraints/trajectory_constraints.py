@@ -98,9 +98,7 @@ class StateBounds:
 
     def value(self, penalties: BoundPenalties, xs: np.ndarray) -> float:
         """The cost that penalties add for states xs (N+1, nx)."""
-        e = self.deviations(xs)
-        above, below = np.maximum(e - penalties.upper, 0.0), np.maximum(penalties.lower - e, 0.0)
-        return 0.5 * float(np.sum(penalties.weight * (above**2 + below**2)))
+        return _penalty(penalties, self.deviations(xs))
 
     def with_penalties(self, penalties: BoundPenalties, model: Quadratic, xs: np.ndarray) -> Quadratic:
         """The quadratic model of a cost along xs (N+1, nx) with that of the penalties."""
@@ -142,6 +140,12 @@ class StateBounds:
         rows = self.space.difference_jacobian(self.space.difference(xs, self.reference))[:, self.component]
         q = model.q + np.einsum("nhi,nh->ni", rows, slope)
         return model._replace(Q=model.Q + np.einsum("nhi,nh,nhj->nij", rows, curvature, rows), q=q)
+
+
+def _penalty(penalties: BoundPenalties, e: np.ndarray) -> float:
+    """The cost that penalties add for components e (N+1, H)."""
+    above, below = np.maximum(e - penalties.upper, 0.0), np.maximum(penalties.lower - e, 0.0)
+    return 0.5 * float(np.sum(penalties.weight * (above**2 + below**2)))
 
 
 def sides_of(penalties: BoundPenalties, e: np.ndarray) -> np.ndarray:
@@ -288,14 +292,11 @@ class TrajectoryConstraints:
     def value_of_rows(self, penalties: BoundPenalties, xs: np.ndarray, us: np.ndarray) -> float:
         """The cost that penalties of constraints add."""
         assert self.rows is not None
-        lower, upper, weight = penalties
-        if not np.any(weight):
+        if not np.any(penalties.weight):
             return 0.0
         if not np.isfinite(xs).all():  # a rollout that diverged
             return float("inf")
-        e = self.rows.values(xs, us)
-        above, below = np.maximum(e - upper, 0.0), np.maximum(lower - e, 0.0)
-        return 0.5 * float(np.sum(weight * (above**2 + below**2)))
+        return _penalty(penalties, self.rows.values(xs, us))
 
     def penalty_derivatives(
         self, penalties: BoundPenalties, xs: np.ndarray, us: np.ndarray, A: np.ndarray, B: np.ndarray

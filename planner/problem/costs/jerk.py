@@ -56,7 +56,7 @@ class Accelerations:
                 f"the machine is {short_repr(dynamics)}, expected RigidBodyDynamics: jerk is that of joints."
             )
         self.dynamics, self.nv = dynamics, dynamics.mechanism.nv
-        self._velocities = slice(dynamics.mechanism.nq, dynamics.mechanism.nq + self.nv)
+        self._velocities = dynamics.mechanism.velocities
 
     def __call__(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(K, nv) at xs (K, nx) with us (K, nu)."""
@@ -101,7 +101,7 @@ class JerkDynamics:
 
     def _appended(self, ys: np.ndarray, whole: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """(K, nx) own ends (K, own.nx) with the accelerations of the whole stages and their rates."""
-        v, a = slice(self.mechanism.nq, self.mechanism.nq + self.mechanism.nv), self.own.nx
+        v, a = self.mechanism.velocities, self.own.nx
         means = (whole[:, v] - ys[:, v]) / self.dt
         return np.concatenate([ends, means, (means - ys[:, a : a + self.mechanism.nv]) / self.dt], axis=1)
 

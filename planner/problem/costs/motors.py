@@ -37,13 +37,14 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import LONGEST_HORIZON, array, count, number, numbers, short_repr
+from planner.base.arguments import LONGEST_HORIZON, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.joint_forces import force_derivatives_at, forces_at
 from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, heavy_joints, prescribed_dofs, with_force_inputs
 from planner.problem.costs.jerk import Accelerations
 from planner.problem.costs.terms import Quadratic, Term
+from planner.problem.costs.tracking import one_each
 
 SMOOTHING = 1.0
 """Smoothing s, W; the built-in arms need a few to some tens of W. A tenth of it reduces the two-link's work from 1.6 to
@@ -162,7 +163,7 @@ class DriveCost(Term):
         m = dynamics.mechanism
         self.dofs = prescribed_dofs(m, dynamics.prescribed)
         size = len(self.dofs)
-        self.weight, self.reference = _each("weight", weight, size), _each("reference", reference, size)
+        self.weight, self.reference = one_each("weight", weight, size), one_each("reference", reference, size)
         if self.weight.min() < 0.0:
             raise PlannerError(f"weight of a drive's force is {self.weight.min():g}, expected at least 0.")
         # Stops of prescribed joints have no effect on the motion.
@@ -211,9 +212,3 @@ class DriveCost(Term):
         Q, q = np.zeros((N + 1, ndx, ndx)), np.zeros((N + 1, ndx))
         Q[:N], q[:N] = H[:, :ndx, :ndx], gradient[:, :ndx]
         return Quadratic(Q, q, H[:, ndx:, ndx:], gradient[:, ndx:], H[:, ndx:, :ndx])
-
-
-def _each(name: str, value: Any, size: int) -> np.ndarray:
-    """(size,) from a number or an array."""
-    given = numbers(name, value)
-    return array(name, np.full(size, given) if given.ndim == 0 else given, (size,))

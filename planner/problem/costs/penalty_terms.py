@@ -14,6 +14,7 @@ of the cost is continuous at the bound and jumps at e = a, and the Gauss-Newton 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -71,8 +72,7 @@ class Segment:
     radius: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("start", "end"):
-            _point(name, getattr(self, name))
+        _check_types(self, ("start", "end"), Point, "a Point")
         set_fields(self, radius=number("radius", self.radius, minimum=0.0))
 
     def __str__(self) -> str:
@@ -137,7 +137,8 @@ class Height(Penalty):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        set_fields(self, point=_point("point", self.point), normal=_direction("normal", self.normal))
+        _check_types(self, ("point",), Point, "a Point")
+        set_fields(self, normal=_direction("normal", self.normal))
 
     def __str__(self) -> str:
         return f"height of {self.point}"
@@ -159,7 +160,7 @@ class Velocity(Penalty):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        set_fields(self, point=_point("point", self.point), relative=_point("relative", self.relative))
+        _check_types(self, ("point", "relative"), Point, "a Point")
         set_fields(self, direction=_direction("direction", self.direction))
 
     def __str__(self) -> str:
@@ -183,9 +184,7 @@ class Distance(Penalty):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("a", "b"):
-            if not isinstance(getattr(self, name), (Point, Segment)):
-                raise PlannerError(f"{name} is {short_repr(getattr(self, name))}, expected a Point or a Segment.")
+        _check_types(self, ("a", "b"), (Point, Segment), "a Point or a Segment")
 
     def __str__(self) -> str:
         return f"distance of {self.a} and {self.b}"
@@ -221,9 +220,7 @@ class Clearance(Penalty):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("a", "b"):
-            if not isinstance(getattr(self, name), CollisionShape):
-                raise PlannerError(f"{name} is {short_repr(getattr(self, name))}, expected a Solid.")
+        _check_types(self, ("a", "b"), CollisionShape, "a Solid")
         if self.side != "lower":
             raise PlannerError(f"{self.side} is given for a Clearance, expected lower: the distance to be kept.")
 
@@ -231,10 +228,10 @@ class Clearance(Penalty):
         return f"clearance of {self.a.name} and {self.b.name}"
 
 
-def _point(name: str, value: Any) -> Point:
-    if not isinstance(value, Point):
-        raise PlannerError(f"{name} is {short_repr(value)}, expected a Point.")
-    return value
+def _check_types(term: Any, names: Sequence[str], kind: type | tuple[type, ...], expected: str) -> None:
+    for name in names:
+        if not isinstance(getattr(term, name), kind):
+            raise PlannerError(f"{name} is {short_repr(getattr(term, name))}, expected {expected}.")
 
 
 def _direction(name: str, value: Any) -> np.ndarray:

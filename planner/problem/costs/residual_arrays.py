@@ -177,9 +177,7 @@ def _measured(
         return VELOCITY, 2 * [number(term.point), number(term.relative)], (*term.direction, 0.0)
     if isinstance(term, Gap):
         contact = _contact(mechanism, term.contact, name)
-        plane, T_centre = contact.plane, np.eye(4)
-        T_centre[:3, 3] = contact.centre
-        point = number(Point(Frame(contact.link, T_centre)))
+        point, plane = number(Point(Frame.at(contact.link, contact.centre))), contact.plane
         return HEIGHT, 4 * [point], (*plane.normal, contact.radius + plane.offset)
     if isinstance(term, Distance):
         lines = [Segment(part, part) if isinstance(part, Point) else part for part in (term.a, term.b)]

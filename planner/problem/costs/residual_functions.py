@@ -46,7 +46,7 @@ class KinematicsCache:
 
     def __init__(self, mechanism: Mechanism, arrays: ResidualArrays, xs: np.ndarray) -> None:
         self.mechanism, self.arrays, self.nv = mechanism, arrays, mechanism.nv
-        self.q, self.v = xs[:, : mechanism.nq], xs[:, mechanism.nq : mechanism.nq + mechanism.nv]
+        self.q, self.v = xs[:, : mechanism.nq], xs[:, mechanism.velocities]
 
     @cached_property
     def positions(self) -> np.ndarray:
@@ -73,11 +73,7 @@ class KinematicsCache:
 
     def frame(self, p: int, rotation: np.ndarray | None = None) -> Frame:
         """The frame at point p with a rotation (3, 3) in its link's frame."""
-        T = np.eye(4)
-        T[:3, 3] = self.arrays.offset[p]
-        if rotation is not None:
-            T[:3, :3] = rotation
-        return Frame(int(self.arrays.link[p]), T)
+        return Frame.at(int(self.arrays.link[p]), self.arrays.offset[p], rotation)
 
     def frame_of(self, t: int) -> Frame:
         """The frame of term t, with the rotation in its constants."""

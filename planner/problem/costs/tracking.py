@@ -34,14 +34,19 @@ def matrices(name: str, value: Any, stages: int, size: int) -> np.ndarray:
     return array(name, given, (stages, size, size))
 
 
+def one_each(name: str, value: Any, size: int) -> np.ndarray:
+    """(size,) from a number or an array."""
+    given = numbers(name, value)
+    return array(name, np.full(size, given) if given.ndim == 0 else given, (size,))
+
+
 def diagonal(name: str, value: Any, size: int, kind: str, places: Mapping[str, slice]) -> np.ndarray:
     """(size,) from a number, an array (size,), or a dict of these by the names of `places`, the others zero.
 
     Messages use `name` for the weight and `kind`, e.g. "joint", for its keys.
     """
     if not isinstance(value, Mapping):
-        given = numbers(name, value)
-        weights = array(name, np.full(size, given) if given.ndim == 0 else given, (size,))
+        weights = one_each(name, value, size)
     else:
         weights = np.zeros(size)
         for key, part in value.items():

@@ -54,8 +54,7 @@ def task_cost(
     last_factor = 0.0 if posed and given is None else factor
     if not task.rests:
         weights["final_velocity"] = 0.0
-    at_rest = reference.copy()
-    at_rest[:, mechanism.nq : mechanism.nq + mechanism.nv] = 0.0
+    at_rest = mechanism.at_rest(reference)
     if "control" not in weights and servos_of(dynamics).any():
         weights["control"] = servo_reference(dynamics, reference)
     weights.setdefault("reference", at_rest)
@@ -116,7 +115,7 @@ def task_goal_specs(task: Task, x0: np.ndarray) -> tuple[GoalSpec, ...]:
             error = partial(_joint_error, mechanism.q_address[[mechanism.joint(name).start]], points[:, [k]])
             found.append(GoalSpec(f"path of {name}", task.units(path)[k], error, times, task.tolerance(path)))
     if task.rests:
-        nv, states = mechanism.nv, slice(mechanism.nq, mechanism.nq + mechanism.nv)
+        nv, states = mechanism.nv, mechanism.velocities
         stopped = np.flatnonzero(~ballistic_dofs(mechanism, x0))
         radii = rolling_radii(mechanism)
         for i in stopped:
@@ -173,8 +172,7 @@ def _moving_dofs(mechanism: Mechanism, one: TimedGoal) -> list[int]:
     """The degrees of freedom that move a goal's frame, or its joints."""
     if one.goal.frame is None:
         return list(one.joints)
-    link = mechanism.frame(one.goal.frame).link
-    return [] if link < 0 else list(chain_of(mechanism.parent, link))
+    return chain_of(mechanism.parent, mechanism.frame(one.goal.frame).link)
 
 
 def _joint_error(addresses: np.ndarray, points: np.ndarray, xs: np.ndarray) -> np.ndarray:
@@ -215,10 +213,8 @@ def _path_error(mechanism: Mechanism, frame: str, points: np.ndarray, xs: np.nda
 
 
 def _speed(mechanism: Mechanism, frame: str, xs: np.ndarray) -> np.ndarray:
-    nq, nv = mechanism.nq, mechanism.nv
-
     def error_of(finite: np.ndarray) -> np.ndarray:
-        J = jacobian(mechanism, xs[finite, :nq], frame)[:, :3]
-        return np.linalg.norm(np.einsum("kai,ki->ka", J, xs[finite, nq : nq + nv]), axis=1)
+        J = jacobian(mechanism, xs[finite, : mechanism.nq], frame)[:, :3]
+        return np.linalg.norm(np.einsum("kai,ki->ka", J, xs[finite, mechanism.velocities]), axis=1)
 
     return where_finite(xs, error_of)

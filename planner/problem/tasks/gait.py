@@ -122,7 +122,7 @@ class Gait:
         q = with_legs(mechanism, q, standing, places, ranges)
         xs = rows.copy()
         xs[:, :nq] = q
-        xs[1:-1, nq : nq + nv] = space.difference(xs[2:], xs[:-2])[:, :nv] / (2.0 * dt)
+        xs[1:-1, mechanism.velocities] = space.difference(xs[2:], xs[:-2])[:, :nv] / (2.0 * dt)
         return xs, f"Gait: {said}, steps of up to {longest_step(places):.2g} m, feet lifted by {lift:.2g} m."
 
     @property

@@ -292,9 +292,8 @@ def _missing_with(
     mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, which: int, ranges: np.ndarray
 ) -> float:  # fmt: skip
     """Distance of the targets from the nearest pose with a contact as high as at q (nq,), m."""
-    contact, T = mechanism.contacts[which], np.eye(4)
-    T[:3, 3], n = contact.centre, np.array(contact.plane.normal)
-    foot = Frame(contact.link, T)
+    contact = mechanism.contacts[which]
+    foot, n = Frame.at(contact.link, contact.centre), np.array(contact.plane.normal)
     level = float(n @ frame_pose(mechanism, q, foot)[:3, 3])
     scaled = [one._replace(metre_scale=GOAL_SCALE) for one in targets]
 

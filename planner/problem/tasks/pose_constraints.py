@@ -90,7 +90,7 @@ class PoseConstraints:
 
     def _violation(self, part: StackEntry, stage: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         (low, high), x, n = self._bounds(part, stage), self._x0.copy(), np.array([stage])
-        x[: self._mechanism.nq], x[self._mechanism.nq : self._mechanism.nq + self._mechanism.nv] = q, 0.0
+        x[: self._mechanism.nq], x[self._mechanism.velocities] = q, 0.0
         value = part.function.values(x[None], np.zeros((1, 0)), n)[0]
         r = np.maximum(value - high, 0.0) - np.maximum(low - value, 0.0)
         J = part.function.derivatives(x[None], np.zeros((1, 0)), n)[0][0][:, : self._mechanism.nv]
@@ -166,11 +166,7 @@ def feet_of(mechanism: Mechanism, q: np.ndarray) -> Feet | None:
     loaded = np.flatnonzero(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces.any(axis=1))
     if not loaded.size:
         return None
-    frames = []
-    for k in loaded:
-        T = np.eye(4)
-        T[:3, 3] = mechanism.contacts[k].centre
-        frames.append(Frame(mechanism.contacts[k].link, T))
+    frames = [Frame.at(mechanism.contacts[k].link, mechanism.contacts[k].centre) for k in loaded]
     return Feet(
         mechanism, np.array([frame.link for frame in frames]), tuple(frames),
         np.array([frame_pose(mechanism, q, frame)[:3, 3] for frame in frames]),

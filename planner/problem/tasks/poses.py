@@ -78,7 +78,7 @@ def poses_of(
     mechanism = task.mechanism
     q = x0[: mechanism.nq]
     search = _Search(dynamics, ranges, seed, check, checker, constraints, feet_of(mechanism, q))
-    stages, found, at_rest = [0], [q], [not np.any(x0[mechanism.nq : mechanism.nq + mechanism.nv])]
+    stages, found, at_rest = [0], [q], [not np.any(x0[mechanism.velocities])]
     if check:
         for path in task.follows:
             _check_path_start(task, path, q)

@@ -81,7 +81,7 @@ def interpolate(task: Task, poses: Poses, x0: np.ndarray, t: np.ndarray) -> tupl
     for a, b in itertools.pairwise(rests):
         at = task.dt * poses.stages[a : b + 1]
         q = poses.q[a : b + 1]
-        start_values = x0[nq : nq + mechanism.nv] if a == 0 else np.zeros(nq)
+        start_values = x0[mechanism.velocities] if a == 0 else np.zeros(nq)
         last = np.zeros(nq) if poses.at_rest[b] else (q[-1] - q[-2]) / (at[-1] - at[-2])
         if len(q) == 2:
             zero = np.zeros(nq)
@@ -101,9 +101,9 @@ def reference_states(task: Task, poses: Poses, x0: np.ndarray) -> np.ndarray:
     xs = np.tile(x0, (task.N + 1, 1))
     if is_screws(task):
         q, qd, _ = interpolate(task, poses, x0, t)
-        xs[:, :nq], xs[:, nq : nq + nv] = q, qd
+        xs[:, :nq], xs[:, mechanism.velocities] = q, qd
         return xs
-    xs[:, nq : nq + nv] = 0.0
+    xs[:, mechanism.velocities] = 0.0
     states = np.tile(xs[0], (len(poses.q), 1))
     states[:, :nq] = poses.q
     for k in range(len(states) - 1):
@@ -111,7 +111,7 @@ def reference_states(task: Task, poses: Poses, x0: np.ndarray) -> np.ndarray:
         share, rate, _ = minimum_jerk((np.arange(a, b + 1) - a) / (b - a))
         displacement = space.difference(states[k + 1], states[k])
         xs[a : b + 1] = space.integrate(np.tile(states[k], (b - a + 1, 1)), share[:, None] * displacement)
-        xs[a : b + 1, nq : nq + nv] = (rate / ((b - a) * task.dt))[:, None] * displacement[:nv]
+        xs[a : b + 1, mechanism.velocities] = (rate / ((b - a) * task.dt))[:, None] * displacement[:nv]
     return xs
 
 
@@ -158,9 +158,8 @@ def closed_chain_reference(
     from scipy.interpolate import CubicSpline  # 0.4 s that `planner run` need not pay
 
     space, nq, nv, N = mechanism.space, mechanism.nq, mechanism.nv, int(stages[-1])
-    poses = np.tile(x0, (len(q), 1))
+    poses = np.tile(mechanism.at_rest(x0), (len(q), 1))
     poses[:, :nq] = q
-    poses[:, nq : nq + nv] = 0.0
     ends = [0, *(k for k in range(1, len(q) - 1) if at_rest[k]), len(q) - 1]
     states_at_knots = np.tile(poses[0], (N + 1, 1))
     for a, b in itertools.pairwise(ends):
@@ -171,7 +170,7 @@ def closed_chain_reference(
         y = space.difference(states, states[0])
         if np.any(np.abs(np.diff(y, axis=0)).max(axis=1) > MAX_JUMP * STEP):
             return None
-        start_values = x0[nq : nq + nv] if a == 0 else np.zeros(nv)
+        start_values = x0[mechanism.velocities] if a == 0 else np.zeros(nv)
         last = np.zeros(nv) if at_rest[b] else (y[-1, :nv] - y[-2, :nv]) / (dt * (times[-1] - times[-2]))
         curve = CubicSpline(dt * times, y[:, :nv], bc_type=((1, start_values), (1, last)))  # pyright: ignore
         n = np.arange(stages[a], stages[b] + 1)
@@ -179,12 +178,12 @@ def closed_chain_reference(
         dx[:, :nv] = curve(dt * n)
         states_at_knots[n] = space.integrate(np.tile(states[0], (len(n), 1)), dx)
     middle = space.difference(states_at_knots[1:], states_at_knots[:-1])[:, :nv] / dt
-    speeds = np.concatenate([x0[None, nq : nq + nv], 0.5 * (middle[1:] + middle[:-1]), 2.0 * middle[-1:]])
+    speeds = np.concatenate([x0[None, mechanism.velocities], 0.5 * (middle[1:] + middle[:-1]), 2.0 * middle[-1:]])
     speeds[-1] = 0.0 if at_rest[-1] else 1.5 * middle[-1] - 0.5 * middle[-2]
     half = np.zeros((N, space.ndx))
     half[:, :nv] = 0.5 * dt * middle
     at = space.integrate(states_at_knots[:-1], half)[:, :nq]
-    states_at_knots[:, nq : nq + nv] = speeds
+    states_at_knots[:, mechanism.velocities] = speeds
     try:
         return ClosedChainReference(
             states_at_knots, inverse_dynamics_controls(mechanism, at, middle, np.diff(speeds, axis=0) / dt)

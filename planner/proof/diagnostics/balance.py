@@ -29,7 +29,7 @@ def standing_goal(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     if asked["settle"] != "auto" or asked["contacts"] not in STANDING or cost is None or problem.goal_specs is not None:
         return []
     goal = cost.x_ref[-1]
-    if mechanism is None or not stands_on_ground(mechanism) or np.any(goal[mechanism.nq : mechanism.nq + mechanism.nv]):
+    if mechanism is None or not stands_on_ground(mechanism) or np.any(goal[mechanism.velocities]):
         return []
     try:
         static_equilibrium(mechanism, goal)

@@ -36,11 +36,8 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Su
     cost = tracking_of(problem.cost)
     goal_failures = [one for one in proof.goal.failures if one.name.startswith(("planned", "replayed"))]
     followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
-    if (
-        cost is None
-        or not goal_failures
-        or not (followed or any(one.name.startswith("planned") for one in goal_failures))
-    ):
+    of_plan = followed or any(one.name.startswith("planned") for one in goal_failures)
+    if cost is None or not goal_failures or not of_plan:
         return []
     times: dict[str, _Raises] = {key: {} for key in _WEIGHTS}
     coordinates = [(one.name, one.unit) for one in coordinates_of(problem.dynamics)]

@@ -40,7 +40,7 @@ def machine_of(problem: Problem) -> Mechanism | None:
     if not isinstance(dynamics, RigidBodyDynamics) or dynamics.prescribed or cost is None:
         return None
     machine = dynamics.mechanism
-    moving = slice(machine.nq, machine.nq + machine.nv)
+    moving = machine.velocities
     ends = np.concatenate([problem.x0[moving], cost.x_ref[-1][moving]])
     whole = np.all(machine.kind == SCREW) and not np.any(machine.actuators.dynamics != DIRECT)
     if not whole or machine.nq != machine.nv or machine.contacts or machine.body_contacts or np.any(ends):

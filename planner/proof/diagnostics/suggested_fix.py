@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import copy
-import json
 import math
 from dataclasses import dataclass
 from typing import Any
 
+from planner.base.arguments import toml_value
 from planner.base.data_files import finite
 from planner.base.measured import Diagnostic, Quantity
 from planner.problem.problem import Problem
@@ -97,7 +97,7 @@ def _written(problem: Problem, key: str, value: Any) -> str:
     if key in FLAGS and not (of_file(problem) and key != ITERATIONS):
         return f"solve(..., {key}={value})" if problem.case is None else flag
     if of_file(problem):
-        return f"{key} = {_toml(value)}"
+        return f"{key} = {toml_value(value)}"
     if problem.case is not None and key == "dt" and "horizon" in problem.parameters:
         return f"--horizon {round(problem.duration / value)}"
     if problem.case is not None and name in problem.parameters:
@@ -109,20 +109,6 @@ def _written(problem: Problem, key: str, value: Any) -> str:
         return f"{dynamics}(..., {key}={value!r})"
     makers = {"limits": "Limits", "weights": "TrackingCost.joints"}
     return f"{makers[table]}({name}={value!r})" if table in makers else f"{key} = {value!r}"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, dict):
-        parts = (f"{name if _is_bare(name) else json.dumps(name)} = {_toml(part)}" for name, part in value.items())
-        return "{ " + ", ".join(parts) + " }" if value else "{}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _is_bare(name: str) -> bool:
-    bare = name.replace("_", "").replace("-", "")
-    return bare.isascii() and bare.isalnum()
 
 
 def rounded_up(value: float, digits: int = 1) -> float:

@@ -62,8 +62,11 @@ def refine_clearance(
     prove, changes = prove or partial(full_proof, rollouts=0), list[dict[str, float]]()
     work = budget_of(budget) or WorkBudget(DEFAULT_WORK)
     while len(changes) < limit and not work.exhausted:
-        more = _collided(plan, proof) or _far(plan, proof)
-        if plan.problem is None or not more:
+        apart = None if plan.problem is None or proof.passed else pair_clearance_of(plan.problem.constraints)
+        if plan.problem is None or apart is None:
+            break
+        more = _collided(plan, plan.problem, proof, apart) or _far(plan, plan.problem, apart)
+        if not more:
             break
         problem = with_clearance(plan.problem, more)
         allowed = work.before_proof(problem)
@@ -80,12 +83,8 @@ def refine_clearance(
     return ClearanceRefinement(plan, proof, tuple(changes))
 
 
-def _collided(plan: Plan, proof: Proof) -> dict[str, float]:
+def _collided(plan: Plan, problem: Problem, proof: Proof, apart: PairClearance) -> dict[str, float]:
     """Increase of clearance, m, of pairs that collide in the user's file, by their names."""
-    problem = plan.problem
-    apart = None if problem is None else pair_clearance_of(problem.constraints)
-    if apart is None or problem is None or proof.passed:
-        return {}
     if not any(one.name == "unknown_contacts" for one in proof.your_file.failures):
         return {}
     _, run = your_file(plan, problem, goals_of(problem), mjcf=None)
@@ -100,12 +99,8 @@ def _collided(plan: Plan, proof: Proof) -> dict[str, float]:
     return found
 
 
-def _far(plan: Plan, proof: Proof) -> dict[str, float]:
+def _far(plan: Plan, problem: Problem, apart: PairClearance) -> dict[str, float]:
     """Change of clearance, m, negative, of fits whose geoms are further apart than required, by the pairs' names."""
-    problem = plan.problem
-    apart = None if problem is None else pair_clearance_of(problem.constraints)
-    if apart is None or problem is None or proof.passed:
-        return {}
     allowed = next(one.allowed() for one in problem.constraints if one.of is apart)
     measure, found = apart.residual_function(problem.dynamics, problem.N), {}
     model = model_index_of(measure.mechanism).model

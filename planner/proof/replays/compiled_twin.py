@@ -168,15 +168,6 @@ def left_out(problem: Problem, compiled: CompiledTwin | None = None) -> tuple[st
     return unmodelled_of(problem, compiled).phrases
 
 
-def pairs_left_out(problem: Problem) -> tuple[str, ...]:
-    """Name the pairs of geoms that may touch in the user's file and not in the plan's model.
-
-    Raises:
-        ModelError: MuJoCo refuses one of the two texts.
-    """
-    return unmodelled_of(problem).pairs
-
-
 def unmodelled_of(problem: Problem, compiled: CompiledTwin | None = None) -> UnmodelledFeatures:
     """All elements of the user's file that a problem's model lacks; of dynamics without a mechanism, the twin lacks."""
     twin, machine = problem.twin, capabilities_of(problem.dynamics)

@@ -81,12 +81,6 @@ def _has(dynamics: CompiledDynamics, problem: Problem, rule: int, own: bool) -> 
     return rule != line_search.WOLFE or (dynamics.has_slopes and problem.bounds is None)
 
 
-def compiled_costs(problem: Problem) -> tuple[TrackingCost | NoTracking, ResidualArrays | None] | None:
-    """The TrackingCost and the residuals of a cost; None if it has terms without kernels."""
-    known, own = _split(problem)
-    return None if own else _compiled(problem, known)
-
-
 def _split(problem: Problem) -> tuple[list[Cost], list[Cost]]:
     """The terms of a cost that kernels may support, and the user-defined others."""
     terms = problem.cost.costs if isinstance(problem.cost, SumCost) else (problem.cost,)

@@ -159,13 +159,9 @@ def render_strip(
         RenderingUnavailable: No OpenGL library was found.
         FileError: The file cannot be written.
     """
-    _check_suffix(path, ".png")
-    check_size(width, height)
-    count("poses", poses, minimum=2, maximum=max(2, width // 16))  # 16 pixels each
+    _check_strip(path, width, height, poses, least=2)
     film = _seen_from(Film.of(replay, np.linspace(replay.t[0], replay.t[-1], poses)), camera)
-    gl.require_backend()
-    _write_png(carry_out([film], Job("strip", width, height, transparent=transparent)), path)
-    return Path(path)
+    return _write_strip(film, Job("strip", width, height, transparent=transparent), path)
 
 
 def render_poses(
@@ -188,20 +184,25 @@ def render_poses(
         RenderingUnavailable: No OpenGL library was found.
         FileError: The file cannot be written.
     """
+    _check_strip(path, width, height, len(poses), least=1)
+    return _write_strip(Film.of_poses(mechanism, poses), Job("strip", width, height), path)
+
+
+def _check_strip(path: PathLike, width: int, height: int, poses: int, least: int) -> None:
     _check_suffix(path, ".png")
     check_size(width, height)
-    count("poses", len(poses), maximum=max(1, width // 16))
+    count("poses", poses, minimum=least, maximum=max(least, width // 16))  # 16 pixels each
+
+
+def _write_strip(film: Film, job: Job, path: PathLike) -> Path:
     gl.require_backend()
-    _write_png(carry_out([Film.of_poses(mechanism, poses)], Job("strip", width, height)), path)
-    return Path(path)
-
-
-def _write_png(picture: np.ndarray, path: PathLike) -> None:
+    picture = carry_out([film], job)
     with write_atomically(path) as hidden:
         try:
             Image.fromarray(picture).save(hidden, format="PNG")
         except OSError as error:
             raise file_error(error, path) from error
+    return Path(path)
 
 
 def render_frame(

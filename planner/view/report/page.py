@@ -6,7 +6,6 @@ The page is one file: pictures and video are embedded, so that it can be sent an
 from __future__ import annotations
 
 import base64
-import json
 import math
 import re
 import shlex
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner import cases
+from planner.base.arguments import toml_value
 from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error
 from planner.cases import CASES, problem_file
@@ -50,15 +50,9 @@ _PICTURES = (
 
 
 def write_report(
-    plan: Plan,
-    proof: Proof | None,
-    folder: PathLike,
-    video_note: str = "",
-    *,
-    path: Sequence[Refinement] = (),
-    options: Mapping[str, Any] | None = None,
-    fixes: Sequence[SuggestedFix] = (),
-) -> Path:
+    plan: Plan, proof: Proof | None, folder: PathLike, video_note: str = "", *, path: Sequence[Refinement] = (),
+    options: Mapping[str, Any] | None = None, fixes: Sequence[SuggestedFix] = (),
+) -> Path:  # fmt: skip
     """Write report.html into `folder` and return its path.
 
     The first screen has the verdict, what was not checked, and the film; the rest is folded. The page embeds strip.png,
@@ -75,14 +69,9 @@ def write_report(
     title = appearance_of(plan.problem).title or plan.case or "Plan"
     curves = interactive(plan, proof)
     made = [
-        _refinement(path),
-        _solver(plan),
-        _parameters(plan),
-        _chosen(plan),
-        _again(plan, proof, path, options or {}),
-        "<h2>Made with</h2>\n" + table(plan.versions),
-        _model(plan),
-    ]
+        _refinement(path), _solver(plan), _parameters(plan), _chosen(plan), _again(plan, proof, path, options or {}),
+        "<h2>Made with</h2>\n" + table(plan.versions), _model(plan),
+    ]  # fmt: skip
     parts = [
         f"<h1>{escape(title)}</h1>",
         _verdict(plan, proof, fixes),
@@ -309,10 +298,11 @@ def problem_text(plan: Plan, path: Sequence[Refinement] = ()) -> str:
     if plan.case != problem_file.NAME:
         return ""
     table = {name: value for name, value in _at_first(plan, path).items() if value is not None}  # TOML has no null
-    lines = [f"{name} = {_toml(value)}" for name, value in table.items() if name not in ("weights", "limits", RESOLVED)]
+    own = {name: value for name, value in table.items() if name not in ("weights", "limits", RESOLVED)}
+    lines = [f"{name} = {toml_value(value)}" for name, value in own.items()]
     for name in ("weights", "limits"):
         if table.get(name):
-            lines += ["", f"[{name}]", *(f"{key} = {_toml(value)}" for key, value in table[name].items())]
+            lines += ["", f"[{name}]", *(f"{key} = {toml_value(value)}" for key, value in table[name].items())]
     return "\n".join(lines)
 
 
@@ -355,17 +345,3 @@ def _flags(values: Mapping[str, Any]) -> list[str]:
         elif value is not None and value is not False:
             flags += [flag, f"{value:.17g}" if isinstance(value, float) and f"{value:g}" != str(value) else str(value)]
     return flags
-
-
-def _toml(value: Any) -> str:
-    """A value of a problem file as TOML."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(name)} = {_toml(part)}" for name, part in value.items()) + " }"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml(part) for part in value) + "]"
-    return json.dumps(value, default=str, ensure_ascii=False)  # strings, numbers and booleans are written alike
-
-
-def _key(name: str) -> str:
-    bare = name.replace("_", "").replace("-", "")
-    return name if bare.isascii() and bare.isalnum() else json.dumps(name, ensure_ascii=False)
