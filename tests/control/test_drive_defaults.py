@@ -54,7 +54,7 @@ def servos(tmp_path_factory):
 def test_windows_of_stiff_servos_take_few_implicit_substeps(servos):
     own, states = servos.dynamics, np.stack([servos.x0, servos.x0 + 0.1])
     coarse = window_dynamics(servos, states)
-    assert (coarse.integrator, own.substeps) == ("rosenbrock", 16)
+    assert coarse.integrator == "rosenbrock"
     assert 1 < coarse.substeps < own.substeps
     m, k = own.mechanism, coarse.substeps
     errors = [implicit_error(m, own.dt, states, (), number) for number in (k, k // 2)]

@@ -92,8 +92,8 @@ def test_substeps_keep_the_fastest_motion_stable():
         assert np.abs(np.linalg.eigvals(A[0])).max() <= 1.0
 
 
-@pytest.mark.parametrize(("damping", "share"), [(0.5, 1.0), (1.5, 0.5)])
-def test_what_only_decays_needs_half_the_substeps(damping, share):
+@pytest.mark.parametrize(("damping", "share"), [(0.5, 1.0), (1.5, 0.7)])
+def test_what_only_decays_needs_fewer_substeps(damping, share):
     """A mass of 1 kg on a spring of 1e6 N/m: what swings is resolved, what only creeps back need be stable."""
     m = Mechanism.from_mjcf(f"""<mujoco><worldbody><body><joint name="x" type="slide" stiffness="1e6"
       damping="{damping * 2000.0}"/><geom size=".1" mass="1"/></body></worldbody><actuator><motor joint="x"/></actuator>
@@ -107,7 +107,7 @@ def test_what_needs_more_has_the_joint_its_rate_and_the_stage():
     m = slides(damping=2000)
     with pytest.raises(PlannerError, match=r"right has a rate of 4000 per s.* expected dt = 0.005"):
         substeps_of(fastest_mode(m, m.home), 0.02)
-    assert substeps_of(fastest_mode(m, m.home), 0.005) == 15  # 4000 / s * 0.005 s / 1.4
+    assert substeps_of(fastest_mode(m, m.home), 0.005) == 16  # of 20, 4000 / s * 0.005 s
 
 
 @pytest.mark.parametrize(("rate", "dt"), [(4000.0, 0.005), (3200.0, 0.01), (1e6, 2e-5), (32.0, 1.0), (31.9, 1.0)])
