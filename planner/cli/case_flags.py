@@ -37,7 +37,7 @@ HESSIANS, LINE_SEARCHES, UPDATES = (
     value_of("planner.solvers.options", name) for name in ("HESSIANS", "LINE_SEARCHES", "UPDATES")
 )
 DEFAULTS = value_of("planner.cases.problem_file.keys", "DEFAULTS")
-_OWN = "A machine of your own: an MJCF file, a start, a goal, weights (docs/own-machine.md)."
+_OWN = "A machine of your own: an MJCF file, a start, a goal, weights (docs/problem-file.md)."
 
 _LIMITS: Flags = {
     "--control-limit": value_flag("X", "Largest magnitude of every control.", kind=number),
@@ -161,7 +161,7 @@ def list_cases(arguments: argparse.Namespace, console: Console) -> int:
         _show_flags(name, console)
     keys = _keys()
     if name == PROBLEM_FILE:
-        console.write_result(f"{PROBLEM_FILE}: {_OWN_SUMMARY}; see docs/own-machine.md")
+        console.write_result(f"{PROBLEM_FILE}: {_OWN_SUMMARY}; see docs/problem-file.md")
         lines = [(f"  {key}", json.dumps(DEFAULTS[key]) if key in DEFAULTS else "", text) for key, text in keys.items()]
         console.table(("  key", "default", ""), lines, COLUMNS)
     return console.finish("list", 0, cases=document, problem_file={"keys": keys, "defaults": DEFAULTS})

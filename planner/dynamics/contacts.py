@@ -44,7 +44,8 @@ class ContactForces(NamedTuple):
 def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     """Points, depths and forces of a mechanism's contacts with planes, in the order of its contacts.
 
-    A law with a lead depends on the acceleration: its forces are those at none, which at rest are all there is.
+    A law with a lead depends on the acceleration: its forces are those at none, which at rest are all there is. Torques
+    of spinning and rolling friction are left out, and the sliding velocity that they share the cone with.
 
     Args:
         mechanism: The machine.
@@ -114,7 +115,7 @@ def contact_jacobians(mechanism: Mechanism, q: Any, which: Any = None) -> np.nda
 def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     """Generalized force tau (..., nv) of all contacts, stops and exponential torques at q (..., nq), qd (..., nv).
 
-    Laws with a lead depend on the acceleration: their forces are those at none.
+    Laws with a lead depend on the acceleration: their forces are those at none, without torques of the contact.
     """
     q, qd, single = _states(mechanism, q, qd)
     tau = exponential_joint_torques(mechanism, q)

@@ -33,9 +33,9 @@ from planner.model.passive_forces import damped_implicitly
 # Target |lambda| h of a substep: RK4 then reproduces the decay exp(-0.7) to 0.3 %, so that a replay at finer steps
 # differs by a fraction of the tolerance. At 1 the error is 2 %; at 2 the decay is 0.33 instead of 0.14.
 TARGET_RATE_STEP = 0.7
-# Of a mode that does not oscillate little is left after a stage, so a larger share of it may be wrong: 2 %. With 1.4
-# the error was 13 %, and costs of arms with tasks were 1.3 % off.
-DECAYING, DECAY_RATE_STEP = 0.9, 1.0  # the damping ratio from which on, and the target
+# Of a mode that only decays 2 % are left after a stage that is four times as long as 1/|lambda|: what is slower is part
+# of the motion. Then 2 % of it may be wrong. With a target of 1.4, 13 %, costs of arms with tasks were 1.3 % off.
+DECAYING, GONE, DECAY_RATE_STEP = 0.9, 4.0, 1.0  # the damping ratio and |lambda| dt from which on, and the target
 # Largest |lambda| h of a substep, allowed only with 16 substeps. It leaves a margin of a quarter to the 2.61 above for
 # states of the trajectory with higher rates than the given ones.
 MAX_RATE_STEP = 2.0
@@ -52,12 +52,12 @@ _ROUNDING = 1e-9  # relative tolerance of rounding
 
 
 class FastestMode(NamedTuple):
-    """The largest eigenvalue modulus of a machine, its coordinate, and the fastest oscillation that lasts."""
+    """The largest eigenvalue modulus of a machine and its coordinate, and what of it steps have to follow."""
 
     rate: float  # 1/s
     joint: str  # name of the coordinate or activation with the largest participation
+    rate_to_resolve: float  # 1/s, the largest rate of what swings, touches or is near a stop
     swing: float = 0.0  # rad/s, of oscillations with a damping ratio below LASTING; 0 without any
-    resolved: float = 0.0  # 1/s, the largest rate of which a substep is TARGET_RATE_STEP; less of one that only decays
 
 
 def fastest_mode(
@@ -66,8 +66,8 @@ def fastest_mode(
     """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), its joint, and its fastest lasting oscillation.
 
     Friction loss acts on a sticking joint like an armature; a slipping light joint is faster, so both are evaluated. A
-    contact with a lead, or a stop that a joint is near and does not lean on all along, counts with the rate that
-    substeps of LEAD_SHARE of it follow.
+    contact with a lead, or a stop that a joint is near and does not press on in all of the states, counts with the rate
+    that substeps of LEAD_SHARE of it follow.
 
     Args:
         mechanism: A mechanism with actuators.
@@ -77,7 +77,7 @@ def fastest_mode(
     Raises:
         PlannerError: The mechanism has no control, or a prescribed joint is unknown.
     """
-    xs, found = _rows(states), FastestMode(0.0, "")
+    xs, found = _rows(states), FastestMode(0.0, "", 0.0)
     for one in _held_and_slipping(mechanism):
         dynamics = RigidBodyDynamics(one, _PROBE_STEP, "euler", prescribed)
         A, _ = dynamics.linearize(np.vstack([xs, xs[-1:]]), np.zeros((len(xs), dynamics.nu)))
@@ -87,9 +87,8 @@ def fastest_mode(
             values, right = np.linalg.eig(slopes)
             k = int(np.argmax(np.abs(values)))
             rate = float(abs(values[k]))
-            decays = np.real(values) < -DECAYING * np.abs(values)
-            resolved = np.abs(values) * np.where(decays, TARGET_RATE_STEP / DECAY_RATE_STEP, 1.0)
-            found = found._replace(resolved=max(found.resolved, float(resolved.max())))
+            swings = np.abs(values)[np.real(values) >= -DECAYING * np.abs(values)]
+            found = found._replace(rate_to_resolve=max(found.rate_to_resolve, float(swings.max(initial=0.0))))
             if rate > found.rate:
                 found = found._replace(rate=rate, joint=_joint(mechanism, slopes, values[k], right[:, k]))
         found = found._replace(swing=max(found.swing, _lasting_swing(dynamics, xs)))
@@ -99,14 +98,14 @@ def fastest_mode(
         if rate > found.rate:
             name = one.name if isinstance(one, Contact) else mechanism.joint_of(one.dof)
             found = found._replace(rate=rate, joint=name)
-        found = found._replace(resolved=max(found.resolved, rate))
+        found = found._replace(rate_to_resolve=max(found.rate_to_resolve, rate))
     return found
 
 
 def _is_near(mechanism: Mechanism, stop: Stop, xs: np.ndarray) -> bool:
-    """Whether a joint is near a stop in any of the states (K, nx), and not on it in all."""
+    """Whether a joint is near a stop in any of the states (K, nx), and does not press on it in all of these."""
     depth = stop_depth(mechanism, stop, xs)
-    return bool(depth.max() >= -NEAR * np.ptp(mechanism.joint_range[stop.dof]) and depth.min() < 0.0)
+    return bool(depth.max() >= -NEAR * np.ptp(mechanism.joint_range[stop.dof]) and depth.min() <= 0.0)
 
 
 def _lasting_swing(dynamics: RigidBodyDynamics, xs: np.ndarray) -> float:
@@ -147,7 +146,8 @@ def _joint(mechanism: Mechanism, slopes: np.ndarray, value: complex, right: np.n
 def substeps_of(found: FastestMode, dt: float) -> int:
     """Number of RK4 substeps, 1 to 16, that a stage of dt s needs for a largest rate.
 
-    Substeps meet TARGET_RATE_STEP and MAX_RATE_STEP, or are 16 if these meet MAX_RATE_STEP.
+    Substeps meet TARGET_RATE_STEP, or DECAY_RATE_STEP for what is gone after a stage, or are 16 if these meet
+    MAX_RATE_STEP.
 
     Raises:
         PlannerError: It needs more than 16; the message has the joint, its rate and the required stage.
@@ -160,7 +160,8 @@ def substeps_of(found: FastestMode, dt: float) -> int:
             f"{dt:g} s and {MAX_SUBSTEPS} are the most, expected dt = {_round_down(longest):g}, or less damping or "
             "gain there."
         )
-    needed = max(found.resolved / TARGET_RATE_STEP, found.rate / MAX_RATE_STEP) * dt
+    decay, swing = found.rate * dt, found.rate_to_resolve * dt / TARGET_RATE_STEP
+    needed = max(swing, min(decay / TARGET_RATE_STEP, max(GONE / TARGET_RATE_STEP, decay / DECAY_RATE_STEP)))
     return min(max(math.ceil(needed - _ROUNDING), 1), MAX_SUBSTEPS)
 
 

@@ -77,8 +77,8 @@ def test_accelerations_solve_the_laws_equation(law, text, seed):
     dynamics, xs, us, rng = driven(text, seed, K=1, prescribe=False)
     m = touching(dynamics.mechanism, xs[0], law, rng)
     a = RigidBodyDynamics(m, 0.01).rates(xs, us)[0, m.nv : 2 * m.nv]
-    # Masses of a drawn machine differ by up to 1e4, and rounding is as much larger.
-    assert np.abs(residual(m, xs[0], us[0], a)).max() < 1e-9
+    # A law is met to 1e-10 of its spring and damper before the cone cuts them off: of what may be a hundred times more.
+    assert np.abs(residual(m, xs[0], us[0], a)).max() < 1e-8
 
 
 @every_law

@@ -40,10 +40,10 @@ def with_step(
 
     The states (nx,), with home where no ground is near, are where the machine's fastest motion is looked for. A stage
     is 0.01 s with RK4. Where 16 substeps cannot follow the machine's fastest motion, its damping is taken implicitly,
-    at the stage or a half, a quarter or an eighth of it, by the Rosenbrock method in as few substeps as do; where that
-    is too coarse, too, the stage is what RK4 can follow, but never below SHORTEST, where damping of single joints is
-    taken implicitly. An oscillation that lasts turns by at most SWING in a stage, unless that asks for less than
-    SHORTEST. The stage is a little shorter than all this: a whole number of stages is the duration.
+    at the stage or a half, a quarter or an eighth of it, by the Rosenbrock method; where that is too coarse, too, the
+    stage is what RK4 can follow, but never below SHORTEST, where damping of single joints is taken implicitly. An
+    oscillation that lasts turns by at most SWING in a stage, unless that asks for less than SHORTEST. The stage is a
+    little shorter than all this: a whole number of stages is the duration.
 
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.
@@ -55,10 +55,10 @@ def with_step(
         return table, table["substeps"], {}
     if not mechanism.contacts:  # which may have home deep in the ground
         states = (*states, mechanism.home)
-    found = FastestMode(0.0, "") if known else fastest_mode(mechanism, states, prescribed)
+    found = FastestMode(0.0, "", 0.0) if known else fastest_mode(mechanism, states, prescribed)
     usual = USUAL if found.swing * USUAL <= SWING else max(SWING / found.swing, SHORTEST)
     reasons, dt, substeps, integrator = {}, table["dt"], table["substeps"], table["integrator"]
-    most, fewest = substeps if isinstance(substeps, int) else MAX_SUBSTEPS, MAX_SUBSTEPS
+    most = substeps if isinstance(substeps, int) else MAX_SUBSTEPS
     closed = mechanism.has_closed_chains  # which the Rosenbrock method does not keep
     if integrator == AUTO:
         integrator, implicit = "rk4", ""
@@ -69,9 +69,7 @@ def with_step(
             if closed or substeps not in (AUTO, MAX_SUBSTEPS):
                 continue
             if implicit_error(mechanism, longest, states, prescribed) <= IMPLICIT:
-                implicit, fewest = "rosenbrock", 1 if substeps == AUTO else MAX_SUBSTEPS
-                while implicit_error(mechanism, longest, states, prescribed, fewest) > IMPLICIT:
-                    fewest *= 2
+                implicit = "rosenbrock"
                 break
         else:
             longest, shortest = lengths[0], SHORTEST if dt == AUTO else lengths[0]
@@ -80,7 +78,7 @@ def with_step(
                 implicit = "implicitfast" if follows else ""
         if implicit:
             integrator, dt = implicit, _whole(table["duration"], longest) if dt == AUTO else dt
-            steps = f"{fewest} substeps" if integrator in able and fewest > 1 else "1 step"
+            steps = f"{MAX_SUBSTEPS} substeps" if integrator in able else "1 step"
             reasons["substeps"] = (
                 f"damping is taken implicitly in {steps} a stage of {dt:.4g} s, because {found.joint} has a rate of "
                 f"{found.rate:.4g} per s."
@@ -93,7 +91,7 @@ def with_step(
         elif longest < USUAL:
             reasons["dt"] = f"{dt:.4g} s: the machine swings at {found.swing:.4g} rad/s, almost without damping"
     if substeps == AUTO:
-        substeps = fewest if integrator in able else 1
+        substeps = MAX_SUBSTEPS if integrator in able else 1
         if integrator in divided:
             substeps = substeps_of(found, number("dt", dt, greater_than=0.0))
             if substeps > 1:

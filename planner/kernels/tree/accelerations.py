@@ -57,8 +57,7 @@ def accelerations(m, r, q, v, u, act, a, external):
             accelerate_in_rounds(m, r, q, v, tau, a)
         else:
             accelerate_once(m, r, q, v, tau, a, links, floats(m, TREE.armature))
-        if m[TREE.softs] > 0:
-            keep_guess(m, r, a)
+        keep_guess(m, r, a)
         return
     accelerate(m, tau, a, links, floats(m, TREE.armature), False)
 
@@ -74,5 +73,4 @@ def _accelerate_implicitly(m, r, q, v, tau, a):
         accelerate_in_rounds(m, r, q, v, tau, a)
     else:
         accelerate_once(m, r, q, v, tau, a, lanes(r, MEMORY.links), lanes(r, MEMORY.own))
-    if m[TREE.softs] > 0:
-        keep_guess(m, r, a)
+    keep_guess(m, r, a)

@@ -45,13 +45,13 @@ def soft_arrays(contacts: Any, tree: dict[str, np.ndarray]) -> dict[str, np.ndar
     """Per soft contact: centre (3), normal (3), level, arm, surface velocity (3), two tangents (3), its law (19).
 
     The first eleven as in contact_arrays. Of the law: eleven of lead_numbers, friction, the root of impratio, the
-    smoothing of the cone, whether the cone is elliptic, the share of each edge, the arms at which spinning and rolling
-    count as sliding, of a pyramid times friction, m, and the inverse of the longer one, 0 without any.
+    smoothing of the cone, whether the cone is elliptic, the share of each edge, of an elliptic cone spinning/mu and
+    rolling/mu, of a pyramid spinning and rolling, m, and the inverse of the longer one, 0 without any.
     """
     link = np.array([contact.link for contact in contacts], dtype=np.int64)
     value = np.zeros((len(contacts), SOFT_SIZE))
     for row, contact in zip(value, contacts, strict=True):
-        law, elliptic = contact.law, contact.law.cone == "elliptic" and contact.law.friction > 0.0
+        law, elliptic = contact.law, contact.law.is_round
         root = math.sqrt(law.impratio) if elliptic else 1.0
         row[:11], row[11:17] = _geometry(contact, tree), np.concatenate(tangents(contact.plane.normal))
         row[17:28] = lead_numbers(law)

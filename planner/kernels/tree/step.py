@@ -208,7 +208,7 @@ def close_state(m, r, x):
 def stage(m, r, x, u, a, dt, x_next, external):
     """The end x_next of a stage of length dt (a V4) from x under u, in equal substeps; a keeps all accelerations."""
     substeps = r[MEMORY.substeps]
-    if m[TREE.softs] > 0:
+    if external is not None:
         forget_guess(m, r)
     length = (1.0 / substeps) * dt
     _step(m, r, x, u, a, length, x_next, external)

@@ -183,7 +183,9 @@ class ContactLaw(Law):
             set_fields(self, impratio=number("impratio", self.impratio, greater_than=0.0))
         choice("cone", self.cone, CONES)
         if (self.spinning > 0.0 or self.rolling > 0.0) and not (self.lead > 0.0 and self.friction > 0.0):
-            raise PlannerError("spinning and rolling are above 0, expected a law with a lead and friction.")
+            raise PlannerError(
+                f"spinning is {self.spinning:g} and rolling {self.rolling:g}, expected a lead and friction beside them."
+            )
         if self.rolling > 0.0 and self.spinning == 0.0:
             raise PlannerError(f"rolling is {self.rolling:g} and spinning 0, expected spinning above 0 beside it.")
         if self.lead > 0.0 and self.is_round and self.impratio == math.inf:
@@ -194,6 +196,13 @@ class ContactLaw(Law):
         """How far the law's surface is raised, m: edges of a pyramid have ramps of their own, elliptic cones none."""
         ramps = 1 if self.lead == 0.0 else 0 if self.is_round else self.edges
         return 0.5 * self.ramp + 0.5 * ramps * float(self.force_ramp or 0.0) / self.stiffness
+
+    @property
+    def tangential_damping(self) -> float:
+        """Of a law with a lead what friction is before it slips, N s/m, as follows from damping, friction and cone."""
+        if self.is_round:
+            return self.impratio * self.damping
+        return self.damping * self.friction**2 / max(self.condim - 1, 1)
 
     @property
     def condim(self) -> int:

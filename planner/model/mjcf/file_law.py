@@ -24,6 +24,7 @@ that is to make no force is watched: MuJoCo detects it and says how deep it is (
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from typing import Any
 from xml.etree import ElementTree
@@ -38,6 +39,7 @@ from planner.model.mjcf.text import written
 
 MIN_IMPEDANCE, MAX_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 MIN_FRICTION, _TINY = 1e-5, 1e-15  # mjMINMU, mjMINVAL
+LEAST_PYRAMID = 1e-3  # of sliding friction: stiffness grows as 1 / mu^2, and rounding with it
 # Ramp, m or rad, force ramp, N or N m, and bend of a plan: most machines sink in 0.3 to 5 mm.
 FILE_SMOOTHING = (2e-4, 0.0, 0.5)
 _DEFAULT_SOLREF = (0.02, 1.0)
@@ -59,15 +61,15 @@ def file_law(model: Any, pair: Pair) -> ContactLaw:
         raise ModelError(f"{' and '.join(named(model, 'geom', geom) for geom in pair.geoms)}: {reason}.")
     (K, B), mu, impratio = coefficients(model, pair, math.inf), _friction(pair), _impratio(model)
     lead, pyramidal = 1.0 / rates(model, pair.solref, pair.solimp)[1], is_pyramidal(model, pair)
-    slip_damping = B * (mu**2 / (pair.condim - 1) if pyramidal else impratio * (mu > 0.0))
     cone = "pyramidal" if pyramidal else "elliptic"
     rise = impedance_of(pair.solimp)
     spinning, rolling = (max(float(pair.friction[i]), MIN_FRICTION) for i in (2, 3))
-    return ContactLaw(
-        K, B, 0.0, 0.0, slip_damping, mu, impratio, 0.0, lead=lead, cone=cone, impedance=rise,
+    law = ContactLaw(
+        K, B, 0.0, 0.0, 0.0, mu, impratio, 0.0, lead=lead, cone=cone, impedance=rise,
         spinning=spinning if pair.condim > 3 else 0.0, rolling=rolling if pair.condim > 4 else 0.0,
         margin=force_begins(model, pair),
     )  # fmt: skip
+    return replace(law, slip_damping=law.tangential_damping)
 
 
 def coefficients(model: Any, pair: Pair, depth: float) -> tuple[float, float]:
@@ -104,6 +106,8 @@ def file_law_reason(model: Any, pair: Pair) -> str:
         return f"solimp whose impedance rises by a power of {pair.solimp[4]:g}, expected 2"
     if pair.condim > 1 and pair.friction[0] != pair.friction[1]:
         return "other friction along than across, expected one number"
+    if pair.condim > 4 and is_pyramidal(model, pair) and pair.friction[0] < LEAST_PYRAMID:
+        return f"friction {pair.friction[0]:g} of a pyramid of condim 6, expected at least {LEAST_PYRAMID:g}"
     if pair.condim > 4 and pair.friction[3] != pair.friction[4]:
         return "other rolling friction along than across, expected one number"
     own = pair.condim > 1 and not is_pyramidal(model, pair) and np.any(pair.solreffriction)

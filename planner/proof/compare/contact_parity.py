@@ -279,7 +279,7 @@ class _Bench:
         for arm, way in ((law.spinning, n), (law.rolling, across / np.linalg.norm(across))):
             if arm == 0.0:
                 continue
-            speed = _FAST * (1.0 + law.bend) * law.friction**2 * load / (law.slip_damping * arm)
+            speed = _FAST * (1.0 + law.bend) * law.friction**2 * load / (law.tangential_damping * arm)
             rows = np.vstack([place.J[0], place.turning[0]])
             qd = np.linalg.pinv(rows, rcond=1e-6) @ np.append(np.zeros(3), speed * way)
             w, v = place.turning[0] @ qd, place.J[0] @ qd
