@@ -7,6 +7,7 @@ import pytest
 from trees import mujoco
 
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.step_stability import LEAD_SHARE, TARGET_RATE_STEP, fastest_mode
 from planner.model.mechanism import Mechanism
 
 ARM = """<mujoco><compiler angle="radian"/><option tolerance="1e-15" iterations="200"/>
@@ -150,3 +151,15 @@ def test_a_time_constant_below_two_steps_is_written_as_mujoco_takes_it():
     model = mujoco.MjModel.from_xml_string(m.mjcf)
     np.testing.assert_array_equal(model.jnt_solref, [[0.001, 1.0], [0.004, 1.0], [0.004, 1.0]])
     assert m.stops[0].law.lead == pytest.approx(0.5 * 0.95 * 0.004)  # 1/b = dmax timeconst / 2
+
+
+def test_a_stop_that_is_pressed_all_along_asks_for_no_shorter_substeps():
+    """Near a stop a joint may meet it, which substeps of a part of its lead resolve."""
+    m = Mechanism.from_mjcf(arm())
+    free, near, pressed = (np.zeros((2, 6)) for _ in range(3))
+    near[:, 1], pressed[:, 1] = 0.295, 0.301  # of a wrist whose range ends at 0.3 rad
+    meets, leans = fastest_mode(m, near), fastest_mode(m, pressed)
+    assert meets.joint == "joint 'wrist'"
+    assert meets.rate == pytest.approx(TARGET_RATE_STEP / (LEAD_SHARE * m.stops[1].law.lead))
+    assert max(fastest_mode(m, free).rate, leans.rate) < 0.7 * meets.rate
+    assert fastest_mode(m, np.vstack([near, pressed])).rate == meets.rate

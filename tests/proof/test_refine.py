@@ -11,6 +11,7 @@ from swings import mechanism, quick, solved, strange, swing
 import planner
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Status
+from planner.proof.original_model import OVERLAPS_THAT_PUSH
 from planner.proof.repair import refinement
 from planner.proof.repair.refinement import Refinement, refine
 from planner.solvers.work import WorkBudget, work_of_stage
@@ -171,6 +172,15 @@ def test_a_range_that_only_a_replay_gone_astray_reaches():
     limited = planner.prove(plan, mjcf=text, rollouts=0)
     assert limited.replay.reached
     assert refinement._other_cause(limited) == ""
+
+
+def test_shapes_that_overlap_at_the_start_and_push(failed):
+    _, proof = failed
+    assert refinement._other_cause(proof) == ""
+    seen = (Measurement("unknown_contacts", 1.0, "", 0.0), Measurement(OVERLAPS_THAT_PUSH, 1.0, "", None))
+    file = replace(proof.your_file, measured=(*proof.your_file.measured, *seen), not_applicable="")
+    other = refinement._other_cause(replace(proof, sections=proof.sections | {"your_file": file}))
+    assert other.startswith("shapes of the file overlap at the start")
 
 
 # Ends

@@ -8,6 +8,7 @@ import pytest
 import planner
 from planner import FunctionDynamics, Mechanism, Problem, RigidBodyDynamics, TrackingCost, Twin
 from planner.dynamics.quasi_static import quasi_static_controls
+from planner.proof.original_model import OVERLAPS_THAT_PUSH
 
 WALL = '<geom name="wall" type="box" size=".05 .05 .2" pos=".7 .8 0"/>'
 ARM = """<mujoco>{option}<worldbody>{world}<body><joint name="hinge" axis="0 0 1" damping="0.1" {joint}/>
@@ -90,6 +91,7 @@ def test_what_penetrates_at_the_start_must_not_go_deeper():
     text = LIFT.format(z=-0.12 + 5e-4)
     into = proof_of(plan_of(text, [-0.24], contacts="off"))
     assert "touch at the start by 0.0005 m, later by up to 0.12 m" in into.reason
+    assert any(one.name == OVERLAPS_THAT_PUSH for one in into.your_file.measured)
     off = proof_of(plan_of(text, [0.24], contacts="off"))
     assert off.passed, off.reason
     assert "without contact of table and arm (0.0005 m), which overlap at the start" in off.headline
