@@ -4,7 +4,7 @@ MuJoCo computes the plan's own contact law, since the model's contact attributes
 depends on that law is shown by replays in which only the contacts differ:
 
     default contact      solref, solimp, friction, dimension and cone at MuJoCo's defaults
-    half, double         of the stiffness, the damping, or the friction of every contact
+    half, double         of the stiffness, the damping, or the sliding friction of every contact
 
 each open loop and with the plan's gains. Joint stops stay as they are. MuJoCo's default contact force is proportional
 to the mass of the body in contact; where that is much lighter than the load (the hopper's foot), it could not carry the

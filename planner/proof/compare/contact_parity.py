@@ -203,8 +203,8 @@ class _Bench:
         m, v = self._mechanism, place.v[0]
         if velocity is not None:
             x = x.copy()
-            x[m.nq : m.nq + m.nv], v = pressing.moving(place, velocity)
-        ours = _planned(place, v, x[m.nq : m.nq + m.nv])
+            x[m.velocities], v = pressing.moving(place, velocity)
+        ours = _planned(place, v, x[m.velocities])
         return ours[:3], self._force(pressing, shapes, x, place)[:3], v
 
     def _coefficients(
@@ -286,7 +286,7 @@ class _Bench:
             if w @ way < _STUCK * speed:
                 continue
             moving = x.copy()
-            moving[m.nq : m.nq + m.nv] = qd
+            moving[m.velocities] = qd
             ours, theirs = _planned(place, v, qd), self._force(pressing, shapes, moving, place)
             torques = [-float(one[3:] @ way) / float(one[:3] @ n) for one in (theirs, ours)]
             yield compared("contact_turning", shapes.name, *torques, arm)
@@ -322,11 +322,11 @@ class _Bench:
 
         def both(deep: float, closing: float, speeding: float = 0.0) -> tuple[float, float]:
             x[m.q_address[stop.dof]] = stop.end + stop.side * (deep - law.margin)
-            x[m.nq : m.nq + m.nv] = 0.0
+            x[m.velocities] = 0.0
             x[m.nq + stop.dof] = stop.side * closing
             qacc = np.zeros(m.nv)
             qacc[stop.dof] = stop.side * speeding
-            e, opening = stop_state(m, stop, x[None, : m.nq], x[None, m.nq : m.nq + m.nv])
+            e, opening = stop_state(m, stop, x[None, : m.nq], x[None, m.velocities])
             ours = unilateral_force(law, e, opening - law.lead * speeding)[0]
             return ours[0], self._limit(x, stop, qacc)
 

@@ -73,7 +73,7 @@ class ContactStateSampler:
     def place(self, x: np.ndarray) -> Any:
         """Kinematics of the contact at states (K, nx)."""
         m = self.mechanism
-        return contact_kinematics(m, self.contact, x[:, : m.nq], x[:, m.nq : m.nq + m.nv])
+        return contact_kinematics(m, self.contact, x[:, : m.nq], x[:, m.velocities])
 
     def matters(self, x: np.ndarray, fixed: np.ndarray) -> bool:
         """Whether a degree of freedom outside `fixed` changes the contact at states (K, nx)."""
@@ -94,7 +94,7 @@ class ContactStateSampler:
         """
         m, contact = self.mechanism, self.contact
         x = starts.copy()
-        x[:, m.nq : m.nq + m.nv] = 0.0
+        x[:, m.velocities] = 0.0
         aside = np.zeros((len(x), 3))
         for _ in range(_ITERATIONS):
             place = self.place(x)
@@ -126,7 +126,7 @@ class ContactStateSampler:
 
     def _lowest(self, x: np.ndarray) -> np.ndarray:
         m = self.mechanism
-        q, qd = x[:, : m.nq], x[:, m.nq : m.nq + m.nv]
+        q, qd = x[:, : m.nq], x[:, m.velocities]
         own = self.place(x).e
         others = [contact_kinematics(m, other, q, qd).e for other in self._others]
         return np.all([own >= e - _ALMOST * self.depth for e in others], axis=0) if others else np.ones(len(x), bool)
