@@ -34,7 +34,8 @@ from planner.model.passive_forces import damped_implicitly
 # differs by a fraction of the tolerance. At 1 the error is 2 %; at 2 the decay is 0.33 instead of 0.14.
 TARGET_RATE_STEP = 0.7
 # Of a mode that only decays 2 % are left after a stage that is four times as long as 1/|lambda|: what is slower is part
-# of the motion. Then 2 % of it may be wrong. With a target of 1.4, 13 %, costs of arms with tasks were 1.3 % off.
+# of the motion. Then 2 % of it may be wrong. With a target of 1.4, 13 %, costs of arms with tasks were 1.3 % off. A
+# machine with contacts has none of this: a wheel slipped more.
 DECAYING, GONE, DECAY_RATE_STEP = 0.9, 4.0, 1.0  # the damping ratio and |lambda| dt from which on, and the target
 # Largest |lambda| h of a substep, allowed only with 16 substeps. It leaves a margin of a quarter to the 2.61 above for
 # states of the trajectory with higher rates than the given ones.
@@ -78,6 +79,7 @@ def fastest_mode(
         PlannerError: The mechanism has no control, or a prescribed joint is unknown.
     """
     xs, found = _rows(states), FastestMode(0.0, "", 0.0)
+    touches = bool(mechanism.contacts or mechanism.body_contacts)  # then friction and impacts are among what decays
     for one in _held_and_slipping(mechanism):
         dynamics = RigidBodyDynamics(one, _PROBE_STEP, "euler", prescribed)
         A, _ = dynamics.linearize(np.vstack([xs, xs[-1:]]), np.zeros((len(xs), dynamics.nu)))
@@ -87,7 +89,7 @@ def fastest_mode(
             values, right = np.linalg.eig(slopes)
             k = int(np.argmax(np.abs(values)))
             rate = float(abs(values[k]))
-            swings = np.abs(values)[np.real(values) >= -DECAYING * np.abs(values)]
+            swings = np.abs(values)[touches | (np.real(values) >= -DECAYING * np.abs(values))]
             found = found._replace(rate_to_resolve=max(found.rate_to_resolve, float(swings.max(initial=0.0))))
             if rate > found.rate:
                 found = found._replace(rate=rate, joint=_joint(mechanism, slopes, values[k], right[:, k]))

@@ -288,8 +288,8 @@ class _Bench:
             moving = x.copy()
             moving[m.velocities] = qd
             ours, theirs = _planned(place, v, qd), self._force(pressing, shapes, moving, place)
-            torques = [-float(one[3:] @ way) / float(one[:3] @ n) for one in (theirs, ours)]
-            yield compared("contact_turning", shapes.name, *torques, arm)
+            given, planned = (-float(one[3:] @ way) / float(one[:3] @ n) for one in (theirs, ours))
+            yield compared("contact_turning", shapes.name, given, planned, arm)
 
     def _inertia(
         self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, rest: np.ndarray
