@@ -59,8 +59,8 @@ FAULTS = (
     Fault(
         "friction-rate",
         "sign",
-        "store(force, i, load(force, i) - inertia * load(value, o + RATE) * load(v, i))",
-        "store(force, i, load(force, i) + inertia * load(value, o + RATE) * load(v, i))",
+        "x = inertia / loss * (a + load(value, o + RATE) * v)",
+        "x = inertia / loss * (a - load(value, o + RATE) * v)",
         "tests/dynamics/test_friction.py",
     ),
     Fault(
