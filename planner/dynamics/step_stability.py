@@ -67,8 +67,8 @@ def fastest_mode(
     """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), its joint, and its fastest lasting oscillation.
 
     Friction loss acts on a sticking joint like an armature; a slipping light joint is faster, so both are evaluated. A
-    contact with a lead, or a stop that a joint is near and does not press on in all of the states, counts with the rate
-    that substeps of LEAD_SHARE of it follow.
+    contact with a lead, or a stop that a joint is near and off in one of the states, counts with the rate that substeps
+    of LEAD_SHARE of it follow.
 
     Args:
         mechanism: A mechanism with actuators.
@@ -105,9 +105,9 @@ def fastest_mode(
 
 
 def _is_near(mechanism: Mechanism, stop: Stop, xs: np.ndarray) -> bool:
-    """Whether a joint is near a stop in any of the states (K, nx), and does not press on it in all of these."""
+    """Whether a joint is near a stop in any of the states (K, nx), and off it in any of these."""
     depth = stop_depth(mechanism, stop, xs)
-    return bool(depth.max() >= -NEAR * np.ptp(mechanism.joint_range[stop.dof]) and depth.min() <= 0.0)
+    return bool(depth.max() >= -NEAR * np.ptp(mechanism.joint_range[stop.dof]) and depth.min() < 0.0)
 
 
 def _lasting_swing(dynamics: RigidBodyDynamics, xs: np.ndarray) -> float:
