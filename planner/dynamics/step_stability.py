@@ -33,9 +33,9 @@ from planner.model.passive_forces import damped_implicitly
 # Target |lambda| h of a substep: RK4 then reproduces the decay exp(-0.7) to 0.3 %, so that a replay at finer steps
 # differs by a fraction of the tolerance. At 1 the error is 2 %; at 2 the decay is 0.33 instead of 0.14.
 TARGET_RATE_STEP = 0.7
-# Of a mode that only decays 2 % are left after a stage that is four times as long as 1/|lambda|: what is slower is part
-# of the motion. Then 2 % of it may be wrong. With a target of 1.4, 13 %, costs of arms with tasks were 1.3 % off. A
-# machine with contacts has none of this: a wheel slipped more.
+# The target of a mode that only decays, where a stage is so long that 2 % of it are left: its decay may then be 2 %
+# wrong. Slower ones are part of the motion. With a target of 1.4 the decay was 13 % wrong, and costs of arms with tasks
+# were off by 1.3 %. Machines with contacts keep TARGET_RATE_STEP: with fewer substeps a Segway's wheel slipped more.
 DECAYING, GONE, DECAY_RATE_STEP = 0.9, 4.0, 1.0  # the damping ratio and |lambda| dt from which on, and the target
 # Largest |lambda| h of a substep, allowed only with 16 substeps. It leaves a margin of a quarter to the 2.61 above for
 # states of the trajectory with higher rates than the given ones.
@@ -67,8 +67,8 @@ def fastest_mode(
     """The largest rate, 1/s, of a machine at states (K, nx) or (nx,), its joint, and its fastest lasting oscillation.
 
     Friction loss acts on a sticking joint like an armature; a slipping light joint is faster, so both are evaluated. A
-    contact with a lead, or a stop that a joint is near and off in one of the states, counts with the rate that substeps
-    of LEAD_SHARE of it follow.
+    contact with a lead counts with the rate that substeps of LEAD_SHARE of it follow. So does a stop with a lead that a
+    joint is near, and off in one of the states.
 
     Args:
         mechanism: A mechanism with actuators.
@@ -105,7 +105,7 @@ def fastest_mode(
 
 
 def _is_near(mechanism: Mechanism, stop: Stop, xs: np.ndarray) -> bool:
-    """Whether a joint is near a stop in any of the states (K, nx), and off it in any of these."""
+    """Whether a joint is near a stop in one of the states (K, nx), and off it in one of them."""
     depth = stop_depth(mechanism, stop, xs)
     return bool(depth.max() >= -NEAR * np.ptp(mechanism.joint_range[stop.dof]) and depth.min() < 0.0)
 

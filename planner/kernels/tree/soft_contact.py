@@ -159,7 +159,7 @@ def add_soft_contacts(m, q, a, ws, near, memory):
         o, b = k * SOFT_MEMORY, link * RECORD
         x, w = _ahead(m, k, link, p, ws)
         _store_both(memory, o + WHERE, x, w)
-        f, torque, _, _, slopes = soft_law(value, k, e, x, w, SOFT_SIZE)
+        f, torque, _, _, slopes = soft_law(value, k, e, x, w)
         _store_both(memory, o + AT, f, torque)
         _store_slopes(memory, o + SLOPES, slopes)
         lead = load(value, k * SOFT_SIZE + LAW + LEAD)
@@ -174,7 +174,7 @@ def add_soft_contacts(m, q, a, ws, near, memory):
 
 @inline
 def _add_inertia(ws, k, p, lead, slopes):
-    """Lead times the slopes of the point p onto the inertia at k: J (6) | H (9) | the linear block (6).
+    """Add the slopes of the point p, times lead, to the inertia at k: J (6) | H (9) | the linear block (6).
 
     With P = hat(p), W = P C and c = P a, the wrench of a twist (w, v) has the moment J w + H v and the force H'w + C v,
     J = D - W P + b c' + c b' and H = W + b a'.
@@ -207,7 +207,7 @@ def _asked(memory, o):
 
 @inline
 def _part_of_way(memory, o, gone):
-    """X and w a part of the way to the new accelerations, and the force and torque that are asked for there."""
+    """Velocities x and w a part of the way to the new accelerations, and the force and torque asked for there."""
     (x, w), (next_x, next_w) = _load_both(memory, o + WHERE), _load_both(memory, o + NEXT)
     (f, torque), (next_f, next_torque) = _load_both(memory, o + ASKED), _asked(memory, o)
     x, w = axpy(x, gone, sub(next_x, x)), axpy(w, gone, sub(next_w, w))
@@ -217,7 +217,7 @@ def _part_of_way(memory, o, gone):
 @inline
 def _off(value, k, e, x, w, asked, asked_torque):
     """How far a force and torque are from the law's, relative to it or to what rounding leaves."""
-    f, torque, _, _, _ = soft_law(value, k, e, x, w, SOFT_SIZE)
+    f, torque, _, _, _ = soft_law(value, k, e, x, w)
     o = k * SOFT_SIZE + LAW
     root, per_length = load(value, o + ROOT), load(value, o + PER_LENGTH)
     off, off_torque = sub(asked, f), scaled(per_length, sub(asked_torque, torque))
@@ -264,7 +264,7 @@ def soft_uphill(m, q, ws, near, memory, part_of_way):
         _, e, _, _, _ = _met(m, k, q, ws)
         o = k * SOFT_MEMORY
         x, w, asked, asked_torque = _part_of_way(memory, o, part_of_way)
-        f, torque, _, _, _ = soft_law(value, k, e, x, w, SOFT_SIZE)
+        f, torque, _, _, _ = soft_law(value, k, e, x, w)
         (x, w), (next_x, next_w) = _load_both(memory, o + WHERE), _load_both(memory, o + NEXT)
         power = dot(sub(next_x, x), sub(asked, f)) + dot(sub(next_w, w), sub(asked_torque, torque))
         slope += power / load(value, k * SOFT_SIZE + LAW + LEAD)
@@ -297,7 +297,7 @@ def subtract_soft_derivatives(m, q, a, M, Dq, Dv, ld, ws):
             continue
         lead, lb = load(value, k * SOFT_SIZE + LAW + LEAD), link * RECORD
         x, w = _ahead(m, k, link, p, ws)
-        f, torque, f_e, torque_e, slopes = soft_law(value, k, e, x, w, SOFT_SIZE)
+        f, torque, f_e, torque_e, slopes = soft_law(value, k, e, x, w)
         V = add(axpy(load3(ws, lb + TWIST + 3), lead, load3(ws, lb + RATES + 3)), cross(w, p))
         i = link
         while i >= 0:

@@ -17,7 +17,7 @@ from planner.kernels.algebra.spatial import add, axpy, dot, load3, scaled, symme
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import load, maximum, select, spread
-from planner.kernels.tree.contact_tables import LEAD_LAW_SIZE
+from planner.kernels.tree.contact_tables import LEAD_LAW_SIZE, SOFT_SIZE
 from planner.kernels.tree.lead_law import DAMPING, FORCE, PER_FORCE, pressing
 
 # Offsets in a soft contact's numbers, as contact_tables lays them out
@@ -96,7 +96,7 @@ def _pyramid(value, o, n, first, second, pressed, pressed_e, s, ds, x, w):
 
 @inline
 def _turned(spin, roll, n, w):
-    """W about n times spin, the rest of it times roll."""
+    """An angular velocity w with its part about n times spin, and the rest times roll."""
     return axpy(scaled(roll, w), (spin - roll) * dot(w, n), n)
 
 
@@ -152,9 +152,9 @@ def _cone(value, o, n, pressed, pressed_e, s, ds, x, w):
 
 
 @inline
-def soft_law(value, k, e, x, w, size):
-    """Force and torque of soft contact k, each contact having `size` numbers, their derivatives by e, and slopes."""
-    b = k * size
+def soft_law(value, k, e, x, w):
+    """Force and torque of soft contact k, their derivatives by e, and slopes."""
+    b = k * SOFT_SIZE
     o, n = b + LAW, load3(value, b + NORMAL)
     pressed, pressed_e, s, ds = pressing(value, o, e)
     if load(value, o + ELLIPTIC) > 0.0:
