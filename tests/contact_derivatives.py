@@ -28,7 +28,7 @@ def generalized_force_derivatives(mechanism, q, qd):
     by_q = curve_torque_derivatives(mechanism, q)
     by_qd = np.zeros_like(by_q)
     for contact in (*mechanism.contacts, *mechanism.body_contacts):
-        place = contact_kinematics(mechanism, contact, q, qd)
+        place = contact_kinematics(kinematics.LinkPlaces(mechanism, q), contact, qd)
         of_place = plane_derivatives if isinstance(place, PlaneContactKinematics) else body_derivatives
         J, (de, dn, dJ) = place.J, of_place(mechanism, place, q)
         f, f_e, f_v = contact_force(contact.law, place.n, place.e, place.v)

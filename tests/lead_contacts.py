@@ -9,6 +9,7 @@ import numpy as np
 from planner.dynamics import bias, mass_matrix
 from planner.dynamics.contact_kinematics import contact_kinematics
 from planner.dynamics.contacts import contact_wrench
+from planner.dynamics.kinematics import LinkPlaces
 
 MAX_ITERATIONS, HALVINGS = 100, 40
 ROUNDING = 1e-13  # of the accelerations, what a step may be at the end
@@ -19,7 +20,7 @@ def accelerations(mechanism, q, v, tau):
     M = mass_matrix(mechanism, q)
     free = tau - bias(mechanism, q, v)
     contacts = (*mechanism.contacts, *mechanism.body_contacts)
-    places = [contact_kinematics(mechanism, one, q[None], v[None]) for one in contacts]
+    places = [contact_kinematics(LinkPlaces(mechanism, q), one, v[None]) for one in contacts]
     places = [place for place in places if place.e[0] > 0.0]
 
     def residual(a):

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.dynamics import kinematics
+from planner.dynamics.kinematics import LinkPlaces
 from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.contact.laws import Contact, slide_direction
-from planner.model.mechanism import Frame, Mechanism
+from planner.model.mechanism import Frame
 
 _NO_DIRECTION = 1e-12  # m, distance of closest points below which the normal is undefined
 
@@ -26,18 +26,18 @@ class PlaneContactKinematics:
     `turning` (K, 3, nv) is the Jacobian of the angular velocity that spinning and rolling friction resist.
     """
 
-    def __init__(self, mechanism: Mechanism, contact: Contact, q: np.ndarray, qd: np.ndarray) -> None:
+    def __init__(self, places: LinkPlaces, contact: Contact, qd: np.ndarray) -> None:
         self.contact, frame = contact, Frame.at(contact.link, contact.centre)
         n, law = contact.plane.normal, contact.law
-        centre = kinematics.frame_pose(mechanism, q, frame)[:, :3, 3]
+        centre = places.pose(frame)[:, :3, 3]
         self.e = contact.radius + law.reach + contact.plane.offset - centre @ n
         arm = (0.5 * self.e - contact.radius - 0.5 * law.reach)[:, None] * n  # from the centre
         self.p = centre + arm
-        J = kinematics.jacobian(mechanism, q, frame)
+        J = places.jacobian(frame)
         self.turning = J[:, 3:]
         self.J = J[:, :3] + np.cross(J[:, 3:], arm[:, :, None], axis=1)
         if contact.plane.slide >= 0:  # relative to a plane on a slide joint
-            self.J[:, :, contact.plane.slide] -= slide_direction(mechanism, contact.plane)
+            self.J[:, :, contact.plane.slide] -= slide_direction(places.mechanism, contact.plane)
         self.n = np.broadcast_to(n, centre.shape)
         self.v = np.einsum("kaj,kj->ka", self.J, qd) - contact.plane.velocity
 
@@ -82,10 +82,10 @@ class BodyContactKinematics:
         closest: The closest points of the axes.
     """
 
-    def __init__(self, mechanism: Mechanism, contact: BodyContact, q: np.ndarray, qd: np.ndarray) -> None:
+    def __init__(self, places: LinkPlaces, contact: BodyContact, qd: np.ndarray) -> None:
         self.contact, parts = contact, (contact.first, contact.second)
         frames = [_frame(part) for part in parts]
-        poses = [kinematics.frame_pose(mechanism, q, frame) for frame in frames]
+        poses = [places.pose(frame) for frame in frames]
         m, lengths = [T[:, :3, 3] for T in poses], (parts[0].length, parts[1].length)
         self.axes = [T[:, :3, 2] if length else np.zeros_like(m[0]) for T, length in zip(poses, lengths, strict=True)]
         self.closest = closest_points(m[0] - m[1], self.axes[0], self.axes[1], lengths, contact.axis_regularization)
@@ -94,7 +94,7 @@ class BodyContactKinematics:
         self.e = parts[0].radius + parts[1].radius + contact.law.reach - distance
         x = [m[k] + self.closest.s[:, k, None] * self.axes[k] for k in range(2)]
         self.p = 0.5 * (x[0] + x[1]) - 0.5 * (parts[0].radius - parts[1].radius) * self.n
-        jacobians = [kinematics.jacobian(mechanism, q, frame) for frame in frames]
+        jacobians = [places.jacobian(frame) for frame in frames]
         at_p = [J[:, :3] + np.cross(J[:, 3:], (self.p - m[k])[:, :, None], axis=1) for k, J in enumerate(jacobians)]
         self.J = at_p[0] - at_p[1]
         self.v = np.einsum("kaj,kj->ka", self.J, qd)
@@ -106,11 +106,11 @@ class BodyContactKinematics:
 
 
 def contact_kinematics(
-    mechanism: Mechanism, contact: Contact | BodyContact, q: np.ndarray, qd: np.ndarray
+    places: LinkPlaces, contact: Contact | BodyContact, qd: np.ndarray
 ) -> PlaneContactKinematics | BodyContactKinematics:
-    """Kinematics of a contact at K states, q (K, nq) and qd (K, nv)."""
+    """Kinematics of a contact at K states: places of the links, and qd (K, nv)."""
     kind = PlaneContactKinematics if isinstance(contact, Contact) else BodyContactKinematics
-    return kind(mechanism, contact, q, qd)  # type: ignore[arg-type]
+    return kind(places, contact, qd)  # type: ignore[arg-type]
 
 
 def _frame(part: Capsule) -> Frame:

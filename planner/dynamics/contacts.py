@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arguments import array
-from planner.dynamics import kinematics
 from planner.dynamics.contact_kinematics import BodyContactKinematics, PlaneContactKinematics, contact_kinematics
+from planner.dynamics.kinematics import LinkPlaces
 from planner.model.contact.laws import ContactLaw, Law, Stop
 from planner.model.mechanism import Mechanism
 from planner.model.passive_forces import exponential_joint_torques
@@ -56,14 +56,14 @@ def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
         PlannerError: A wrong shape or a number that is not finite.
     """
     q, qd, single = _states(mechanism, q, qd)
-    contacts = mechanism.contacts
-    centres, e = _penetrations(mechanism, q)
+    contacts, at = mechanism.contacts, LinkPlaces(mechanism, q)
+    centres, e = _penetrations(at)
     reaches, radii, normals = _numbers(mechanism)
     points = centres + (0.5 * (e - reaches) - radii)[..., None] * normals
     depths = e - np.array([one.law.surface_offset for one in contacts])
     forces = np.zeros_like(points)
     for k in np.flatnonzero((e > 0.0).any(axis=0)):  # skip contacts that are open at every state
-        forces[:, k] = _force(PlaneContactKinematics(mechanism, contacts[k], q, qd))[0]
+        forces[:, k] = _force(PlaneContactKinematics(at, contacts[k], qd))[0]
     return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
 
 
@@ -74,14 +74,14 @@ def _numbers(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.array(reaches), np.array(radii), np.array([one.plane.normal for one in contacts]).reshape(-1, 3)
 
 
-def _penetrations(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _penetrations(places: LinkPlaces) -> tuple[np.ndarray, np.ndarray]:
     """Centres (K, P, 3), m, of contacts with planes, and penetrations (K, P), m, of the laws' offset surfaces."""
-    contacts = mechanism.contacts
+    contacts = places.mechanism.contacts
     if not contacts:
-        return np.zeros((len(q), 0, 3)), np.zeros((len(q), 0))
+        return np.zeros((len(places.q), 0, 3)), np.zeros((len(places.q), 0))
     links, offsets = np.array([one.link for one in contacts]), np.array([one.centre for one in contacts])
-    centres, _ = kinematics.points_of(mechanism, q, links, offsets, moving=False)
-    reaches, radii, normals = _numbers(mechanism)
+    centres, _ = places.points(links, offsets, moving=False)
+    reaches, radii, normals = _numbers(places.mechanism)
     levels = np.array([one.plane.offset for one in contacts])
     return centres, radii + reaches + levels - np.einsum("kpa,pa->kp", centres, normals)
 
@@ -89,7 +89,8 @@ def _penetrations(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.n
 def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     """Points, depths and forces of contacts between bodies, in the order of body_contacts; see contact_forces."""
     q, qd, single = _states(mechanism, q, qd)
-    places = [BodyContactKinematics(mechanism, contact, q, qd) for contact in mechanism.body_contacts]
+    at = LinkPlaces(mechanism, q)
+    places = [BodyContactKinematics(at, contact, qd) for contact in mechanism.body_contacts]
     K, n = len(q), len(places)
     points, depths, forces = np.zeros((K, n, 3)), np.zeros((K, n)), np.zeros((K, n, 3))
     for k, place in enumerate(places):
@@ -106,9 +107,13 @@ def contact_jacobians(mechanism: Mechanism, q: Any, which: Any = None) -> np.nda
     q = np.asarray(q, dtype=float)
     q, _, single = _states(mechanism, q, np.zeros((*q.shape[:-1], mechanism.nv)))
     contacts = mechanism.contacts if which is None else [mechanism.contacts[k] for k in which]
-    J = np.zeros((len(q), len(contacts), 3, mechanism.nv))
+    J, at, still = (
+        np.zeros((len(q), len(contacts), 3, mechanism.nv)),
+        LinkPlaces(mechanism, q),
+        np.zeros((len(q), mechanism.nv)),
+    )
     for k, contact in enumerate(contacts):
-        J[:, k] = PlaneContactKinematics(mechanism, contact, q, np.zeros((len(q), mechanism.nv))).J
+        J[:, k] = PlaneContactKinematics(at, contact, still).J
     return J[0] if single else J
 
 
@@ -138,9 +143,10 @@ def _places(
     mechanism: Mechanism, q: np.ndarray, qd: np.ndarray
 ) -> list[PlaneContactKinematics | BodyContactKinematics]:
     """Kinematics of all contacts, except plane contacts that are open at every state."""
-    touching = (_penetrations(mechanism, q)[1] > 0.0).any(axis=0)
+    at = LinkPlaces(mechanism, q)
+    touching = (_penetrations(at)[1] > 0.0).any(axis=0)
     near = [mechanism.contacts[k] for k in np.flatnonzero(touching)]
-    return [contact_kinematics(mechanism, contact, q, qd) for contact in (*near, *mechanism.body_contacts)]
+    return [contact_kinematics(at, contact, qd) for contact in (*near, *mechanism.body_contacts)]
 
 
 def stop_state(mechanism: Mechanism, stop: Any, q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from planner.base.arguments import array, count
 from planner.base.errors import PlannerError
 from planner.dynamics import loops
 from planner.dynamics.assembly import assembled
-from planner.dynamics.kinematics import frame_pose, jacobian
+from planner.dynamics.kinematics import LinkPlaces
 from planner.model.mechanism import SCREW, Frame, Mechanism
 from planner.model.space import hat, log_jacobian
 
@@ -116,7 +116,8 @@ def integrate_base(mechanism: Mechanism, q: np.ndarray, e: np.ndarray) -> np.nda
 
 def residuals(mechanism: Mechanism, q: np.ndarray, target: Target) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors r (n,), m or rad, of a target at q (nq,), their Jacobian (n, nv), and whether each is an angle (n,)."""
-    T, J = frame_pose(mechanism, q, target.frame), jacobian(mechanism, q, target.frame)
+    at = LinkPlaces(mechanism, q)
+    T, J = at.pose(target.frame)[0], at.jacobian(target.frame)[0]
     R, rows = T[:3, :3], []
     if target.position is not None:
         rows.append((T[:3, 3] - target.position, J[:3], False))

@@ -19,32 +19,99 @@ from planner.dynamics.batch import KernelCall, kernel_model
 from planner.kernels.tree import batch as tree_batch
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.mechanism import Frame, Mechanism
-from planner.model.space import cross, hat
+from planner.model.space import cross
 
 
-def link_places(b: KernelCall) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Per link: pose (K, nv, 4, 4) in the world, screws (K, nv, 6) about an origin, and that origin (K, nv, 3)."""
-    model, nv = kernel_model(b.mechanism), b.mechanism.nv
-    records = np.empty((b.K, nv, 18))
-    b.call(tree_batch.places, model, records)
-    origin = np.tile(model.origin, (b.K, 1, 1))
-    for i in np.flatnonzero(model.floating_address >= 0):
-        a = model.floating_address[i]
-        origin[:, i] = b["q"][:, a : a + 3]
-    T = np.zeros((b.K, nv, 4, 4))
-    T[..., :3, :3] = records[..., :9].reshape(b.K, nv, 3, 3)
-    T[..., :3, 3], T[..., 3, 3] = records[..., 9:12] + origin, 1.0
-    T = T @ np.linalg.inv(model.own_frames)
-    for i in np.flatnonzero(model.floating):  # slides of a free joint, whose translation the kernels omit
-        first = model.floating_address[i]
-        T[:, i, :3, 3] = 0.0
-        count = int(b.mechanism.q_address[i]) - int(first) + 1
-        T[:, i, :count, 3] = b["q"][:, first : first + count]
-    return T, records[..., 12:], origin
+class LinkPlaces:
+    """Places of a mechanism's links at K configurations, computed once for poses and Jacobians of several frames.
 
+    Args:
+        mechanism: The machine.
+        q: (K, nq) or (nq,) configurations, m and rad.
 
-def _framed(mechanism: Mechanism, frame: str | Frame) -> Frame:
-    return frame if isinstance(frame, Frame) else mechanism.frame(frame)
+    Attributes:
+        T: (K, nv, 4, 4) pose of each link in the world.
+        screws: (K, nv, 6), angular and linear, about the origins.
+        origin: (K, nv, 3), m.
+
+    Raises:
+        PlannerError: A wrong shape or a number that is not finite.
+    """
+
+    def __init__(self, mechanism: Mechanism, q: Any) -> None:
+        call = KernelCall(mechanism, q=q)
+        self.mechanism, self.q, self.out = mechanism, call["q"], call.out
+        model, nv, K = kernel_model(mechanism), mechanism.nv, call.K
+        records = np.empty((K, nv, 18))
+        call.call(tree_batch.places, model, records)
+        self.screws, self.origin = records[..., 12:], np.tile(model.origin, (K, 1, 1))
+        for i in np.flatnonzero(model.floating_address >= 0):
+            a = model.floating_address[i]
+            self.origin[:, i] = self.q[:, a : a + 3]
+        T = np.zeros((K, nv, 4, 4))
+        T[..., :3, :3] = records[..., :9].reshape(K, nv, 3, 3)
+        T[..., :3, 3], T[..., 3, 3] = records[..., 9:12] + self.origin, 1.0
+        self.T = T @ np.linalg.inv(model.own_frames)
+        for i in np.flatnonzero(model.floating):  # slides of a free joint, whose translation the kernels omit
+            first = model.floating_address[i]
+            self.T[:, i, :3, 3] = 0.0
+            count = int(mechanism.q_address[i]) - int(first) + 1
+            self.T[:, i, :count, 3] = self.q[:, first : first + count]
+
+    def _frame(self, frame: str | Frame) -> Frame:
+        return frame if isinstance(frame, Frame) else self.mechanism.frame(frame)
+
+    def pose(self, frame: str | Frame) -> np.ndarray:
+        """(K, 4, 4) of a frame, or of a site or body by its name, in the world."""
+        frame = self._frame(frame)
+        if frame.link < 0:
+            return np.tile(frame.T, (len(self.q), 1, 1))
+        return self.T[:, frame.link] @ frame.T
+
+    def jacobian(self, frame: str | Frame) -> np.ndarray:
+        """(K, 6, nv) of a frame: linear, then angular rows, in the world's axes at its origin."""
+        frame = self._frame(frame)
+        J = np.zeros((len(self.q), 6, self.mechanism.nv))
+        if frame.link >= 0:
+            arm = (self.T[:, frame.link] @ frame.T[:, 3])[:, None, :3] - self.origin[:, None, frame.link]
+            chain = chain_of(self.mechanism.parent, frame.link)
+            angular, linear = self.screws[:, chain, :3], self.screws[:, chain, 3:]
+            J[:, 3:, chain] = np.swapaxes(angular, 1, 2)
+            J[:, :3, chain] = np.swapaxes(linear + cross(angular, arm), 1, 2)
+        return J
+
+    def jacobian_derivatives(self, frame: str | Frame) -> np.ndarray:
+        """(K, 6, nv, nv), the derivative of a frame's Jacobian: q is the last axis."""
+        frame = self._frame(frame)
+        m = self.mechanism
+        D = np.zeros((len(self.q), 6, m.nv, m.nv))
+        if frame.link < 0:
+            return D
+        chain = chain_of(m.parent, frame.link)
+        J = np.swapaxes(self.jacobian(frame)[:, :, chain], 1, 2)
+        by_j, by_k = J[:, :, None], J[:, None]
+        # dof k moves the frame's origin, and the axes of its descendants and of its own ball, which rotate together
+        j, k = np.array(chain)[:, None], np.array(chain)
+        kind, block = np.asarray(m.kind), np.asarray(m.base)
+        depends = ((j > k) | ((kind[j] != 0) & (kind[k] != 0) & (block[j] == block[k])))[..., None]
+        angular = np.where(depends, cross(by_k[..., 3:], by_j[..., 3:]), 0.0)
+        linear = np.where(depends, cross(by_k[..., 3:], by_j[..., :3]), cross(by_j[..., 3:], by_k[..., :3]))
+        D[:, :, j, k] = np.moveaxis(np.concatenate([linear, angular], axis=-1), -1, 1)
+        return D
+
+    def points(self, links: np.ndarray, offsets: np.ndarray, *, moving: bool = True) -> tuple[np.ndarray, np.ndarray]:
+        """(K, P, 3) m, positions of points of links, and if `moving` their Jacobians (K, P, 3, nv); see points_of."""
+        K = len(self.q)
+        T = np.concatenate([self.T, np.tile(np.eye(4), (K, 1, 1, 1))], axis=1)[:, links]  # the last one is the world's
+        places = np.einsum("kpij,pj->kpi", T[..., :3, :3], offsets) + T[..., :3, 3]
+        if not moving:
+            return places, np.empty(0)
+        J = np.zeros((K, len(links), self.mechanism.nv, 3))
+        for p, link in enumerate(links):
+            chain = chain_of(self.mechanism.parent, int(link))
+            arm = places[:, p] - self.origin[:, link]
+            J[:, p, chain] = self.screws[:, chain, 3:] + cross(self.screws[:, chain, :3], arm[:, None])
+        return places, np.swapaxes(J, 2, 3)
 
 
 def forward_kinematics(mechanism: Mechanism, q: Any) -> np.ndarray:
@@ -60,10 +127,8 @@ def forward_kinematics(mechanism: Mechanism, q: Any) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = KernelCall(mechanism, q=q)
-    T = link_places(b)[0]
-    poses = [frame.T if frame.link < 0 else T[:, frame.link] @ frame.T for frame in mechanism.bodies]
-    return b.out(np.stack([np.broadcast_to(pose, (b.K, 4, 4)) for pose in poses], axis=1))
+    places = LinkPlaces(mechanism, q)
+    return places.out(np.stack([places.pose(frame) for frame in mechanism.bodies], axis=1))
 
 
 def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
@@ -80,10 +145,8 @@ def frame_pose(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite; no such frame.
     """
-    b, f = KernelCall(mechanism, q=q), _framed(mechanism, frame)
-    if f.link < 0:
-        return b.out(np.tile(f.T, (b.K, 1, 1)))
-    return b.out(link_places(b)[0][:, f.link] @ f.T)
+    places = LinkPlaces(mechanism, q)
+    return places.out(places.pose(frame))
 
 
 def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
@@ -100,16 +163,8 @@ def jacobian(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite; no such frame.
     """
-    b, f = KernelCall(mechanism, q=q), _framed(mechanism, frame)
-    T, screws, origin = link_places(b)
-    J = np.zeros((b.K, 6, mechanism.nv))
-    if f.link >= 0:
-        p = (T[:, f.link] @ f.T)[:, None, :3, 3] - origin[:, None, f.link]
-        chain = chain_of(mechanism.parent, f.link)
-        angular, linear = screws[:, chain, :3], screws[:, chain, 3:]
-        J[:, 3:, chain] = np.swapaxes(angular, 1, 2)
-        J[:, :3, chain] = np.swapaxes(linear + cross(angular, p), 1, 2)
-    return b.out(J)
+    places = LinkPlaces(mechanism, q)
+    return places.out(places.jacobian(frame))
 
 
 def points_of(
@@ -124,19 +179,9 @@ def points_of(
         offsets: (P, 3) positions in the links' frames, m.
         moving: Whether to compute the Jacobians; else the array is empty.
     """
-    b = KernelCall(mechanism, q=q)
-    T, screws, origin = link_places(b)
-    T = np.concatenate([T, np.tile(np.eye(4), (b.K, 1, 1, 1))], axis=1)  # the last one is the world's
-    T = T[:, links]
-    places = np.einsum("kpij,pj->kpi", T[..., :3, :3], offsets) + T[..., :3, 3]
-    if not moving:
-        return b.out(places), np.empty(0)
-    J = np.zeros((b.K, len(links), mechanism.nv, 3))
-    for p, link in enumerate(links):
-        chain = chain_of(mechanism.parent, int(link))
-        arm = places[:, p] - origin[:, link]
-        J[:, p, chain] = screws[:, chain, 3:] + cross(screws[:, chain, :3], arm[:, None])
-    return b.out(places), b.out(np.swapaxes(J, 2, 3))
+    places = LinkPlaces(mechanism, q)
+    found, J = places.points(links, offsets, moving=moving)
+    return places.out(found), places.out(J) if moving else J
 
 
 def forward_kinematics_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
@@ -152,9 +197,8 @@ def forward_kinematics_derivatives(mechanism: Mechanism, q: Any) -> np.ndarray:
     Raises:
         PlannerError: A wrong shape or a number that is not finite.
     """
-    b = KernelCall(mechanism, q=q)
-    J = [jacobian(mechanism, b["q"], frame) for frame in mechanism.bodies]
-    return b.out(np.stack(J, axis=1))
+    places = LinkPlaces(mechanism, q)
+    return places.out(np.stack([places.jacobian(frame) for frame in mechanism.bodies], axis=1))
 
 
 def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np.ndarray:
@@ -171,24 +215,8 @@ def jacobian_derivatives(mechanism: Mechanism, q: Any, frame: str | Frame) -> np
     Raises:
         PlannerError: A wrong shape or a number that is not finite; no such frame.
     """
-    b, f = KernelCall(mechanism, q=q), _framed(mechanism, frame)
-    D = np.zeros((b.K, 6, mechanism.nv, mechanism.nv))
-    if f.link < 0:
-        return b.out(D)
-    J = jacobian(mechanism, b["q"], f)
-    chain = chain_of(mechanism.parent, f.link)
-    block = np.array(mechanism.base)  # axes of one ball rotate together
-    for k in chain:
-        turn = hat(J[:, 3:, k])
-        for j in chain:
-            # dof k moves the axes of its descendants and of its own ball, and the frame's origin.
-            depends = j > k or (mechanism.kind[j] != 0 and mechanism.kind[k] != 0 and block[j] == block[k])
-            if depends:
-                D[:, 3:, j, k] = np.einsum("nab,nb->na", turn, J[:, 3:, j])
-                D[:, :3, j, k] = np.einsum("nab,nb->na", turn, J[:, :3, j])
-            else:
-                D[:, :3, j, k] = cross(J[:, 3:, j], J[:, :3, k])
-    return b.out(D)
+    places = LinkPlaces(mechanism, q)
+    return places.out(places.jacobian_derivatives(frame))
 
 
 def center_of_mass(mechanism: Mechanism, q: Any) -> np.ndarray:
@@ -230,12 +258,12 @@ def angular_momentum(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     """
     masses, offsets, links = _massive(mechanism)
     b = KernelCall(mechanism, q=q, qd=qd)
-    T, screws, origin = link_places(b)
-    twists = screws * b["qd"][:, :, None]  # of each link, relative to its parent
+    at = LinkPlaces(mechanism, b["q"])
+    twists = at.screws * b["qd"][:, :, None]  # of each link, relative to its parent
     for i, parent in enumerate(mechanism.parent):
         if parent >= 0:
             twists[:, i] += twists[:, parent]
-    T, origin, spin, moving = T[:, links], origin[:, links], twists[:, links, :3], twists[:, links, 3:]
+    T, origin, spin, moving = at.T[:, links], at.origin[:, links], twists[:, links, :3], twists[:, links, 3:]
     R = T[..., :3, :3]
     places = np.einsum("klij,lj->kli", R, offsets) + T[..., :3, 3]
     speeds = moving + np.cross(spin, places - origin)

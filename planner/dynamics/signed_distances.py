@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.dynamics.batch import KernelCall
-from planner.dynamics.kinematics import link_places
+from planner.dynamics.kinematics import LinkPlaces
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.contact.signed_distance import MEASURES, CollisionShape, PlacedShapes, kind_of
 from planner.model.mechanism import Mechanism
@@ -45,16 +44,17 @@ class SignedDistances:
 
         Values above the threshold `beyond` (P,), m, may be the smaller distance of the bounding spheres.
         """
-        T = self._places(link_places(KernelCall(self.mechanism, q=q))[0])
+        T = self._places(LinkPlaces(self.mechanism, q).T)
         return self._measured(T, beyond)[0]
 
     def derivatives(self, q: Any, beyond: np.ndarray | float = np.inf) -> tuple[np.ndarray, np.ndarray]:
         """Distances (K, P), m, and their derivatives by q (K, P, nv), zero for distances above `beyond`, m."""
-        T, screws, origin = link_places(KernelCall(self.mechanism, q=q))
-        values, n, p = self._measured(self._places(T), beyond)
-        arms = p[:, :, None] - origin[:, None]  # (K, P, nv, 3)
+        at = LinkPlaces(self.mechanism, q)
+        values, n, p = self._measured(self._places(at.T), beyond)
+        arms = p[:, :, None] - at.origin[:, None]  # (K, P, nv, 3)
         moments = np.cross(arms, n[:, :, None])
-        along = np.einsum("kia,kpia->kpi", screws[..., :3], moments) + np.einsum("kia,kpa->kpi", screws[..., 3:], n)
+        angular, linear = at.screws[..., :3], at.screws[..., 3:]
+        along = np.einsum("kia,kpia->kpi", angular, moments) + np.einsum("kia,kpa->kpi", linear, n)
         return values, self._sign * along
 
     def motion_bound(self, q: Any, dq: np.ndarray) -> np.ndarray:
@@ -63,14 +63,14 @@ class SignedDistances:
         Each joint contributes its largest speed over the bounding sphere of the solid that it moves; for a plane, which
         is unbounded, over that of the other solid.
         """
-        T, screws, origin = link_places(KernelCall(self.mechanism, q=q))
-        centres = self._places(T)[..., :3, 3]
-        found = np.zeros((len(T), len(self._pairs)))
+        at = LinkPlaces(self.mechanism, q)
+        centres = self._places(at.T)[..., :3, 3]
+        found = np.zeros((len(centres), len(self._pairs)))
         for k, (a, b) in enumerate(self._pairs):
             for i in np.flatnonzero(self._sign[k]):
                 s = a if self._sign[k, i] > 0.0 or self._flat[k] else b
-                w, v = screws[:, i, :3], screws[:, i, 3:]
-                speed = np.linalg.norm(v + np.cross(w, centres[:, s] - origin[:, i]), axis=-1)
+                w, v = at.screws[:, i, :3], at.screws[:, i, 3:]
+                speed = np.linalg.norm(v + np.cross(w, centres[:, s] - at.origin[:, i]), axis=-1)
                 found[:, k] += np.abs(dq[:, i]) * (speed + np.linalg.norm(w, axis=-1) * self._reach[s])
         return found
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.dynamics.contact_kinematics import PlaneContactKinematics
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.kinematics import center_of_mass
+from planner.dynamics.kinematics import LinkPlaces, center_of_mass
 from planner.dynamics.statics import STRIDE
 from planner.model.capabilities import capabilities_of, stands_on_ground
 from planner.problem.plan import Plan
@@ -33,11 +33,12 @@ def skating(plan: Plan, problem: Problem) -> tuple[str, ...]:
         belt = np.any(contact.plane.velocity) or contact.plane.slide >= 0
         if not bears.size or belt or contact.law.friction == 0.0:
             continue
-        v, n = PlaneContactKinematics(mechanism, contact, qs[bears], qds[bears]).v, contact.plane.normal
+        at = LinkPlaces(mechanism, qs[bears])
+        v, n = PlaneContactKinematics(at, contact, qds[bears]).v, contact.plane.normal
         slip[k] = problem.dynamics.dt * np.linalg.norm(v - (v @ n)[:, None] * n, axis=1).sum()
     if slip.max() <= STRIDE:
         return ()
-    centres = np.array([center_of_mass(mechanism, q) for q in qs])
+    centres = center_of_mass(mechanism, qs)
     travel = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
     worst = int(np.argmax(slip))
     if slip[worst] <= MAX_SHARE * travel:

@@ -10,6 +10,7 @@ from commands import refused, run
 import planner
 from planner.base.data_files import problem_files
 from planner.dynamics.contact_kinematics import PlaneContactKinematics
+from planner.dynamics.kinematics import LinkPlaces
 from planner.dynamics.statics import STRIDE
 from planner.problem.goals import goals_of
 
@@ -70,7 +71,7 @@ def test_the_quadruped_rises_and_its_feet_stay():
     assert q[-1, 2] - q[0, 2] > 0.15  # m
     assert len(mechanism.contacts) == 4
     for foot in mechanism.contacts:
-        at = PlaneContactKinematics(mechanism, foot, q, qd)
+        at = PlaneContactKinematics(LinkPlaces(mechanism, q), foot, qd)
         slip = rise.problem.dynamics.dt * np.linalg.norm(at.v[:, :2], axis=1).sum()
         assert slip < 0.1 * STRIDE  # more than STRIDE is what the proof calls sliding
 

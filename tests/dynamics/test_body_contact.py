@@ -14,7 +14,7 @@ from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.contact_kinematics import BodyContactKinematics, closest_points
 from planner.dynamics.contacts import body_contact_forces, generalized_forces
-from planner.dynamics.kinematics import angular_momentum, center_of_mass
+from planner.dynamics.kinematics import LinkPlaces, angular_momentum, center_of_mass
 from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import SCREW, Mechanism
@@ -78,7 +78,9 @@ def meeting(m, x, touch, rng, count=4):
             Capsule(int(link), rng.normal(size=3) * 0.3, rng.normal(size=3) * 0.2 * (long > k), 0.05 + 0.1 * k)
             for k, link in enumerate(links)
         )
-        above = BodyContactKinematics(m, BodyContact(first, second, touch), x[None, : m.nq], np.zeros((1, m.nv))).e[0]
+        above = BodyContactKinematics(
+            LinkPlaces(m, x[: m.nq]), BodyContact(first, second, touch), np.zeros((1, m.nv))
+        ).e[0]
         radius = second.radius - above + rng.choice(law_states(touch, rng)[0])
         contacts.append(BodyContact(first, dataclasses.replace(second, radius=max(radius, 0.0)), touch))
     return dataclasses.replace(m, body_contacts=tuple(contacts))

@@ -16,7 +16,7 @@ from planner.dynamics.assembly import feasible_directions
 from planner.dynamics.contact_kinematics import contact_kinematics
 from planner.dynamics.contacts import contact_wrench
 from planner.dynamics.joint_forces import friction_forces
-from planner.dynamics.kinematics import frame_pose
+from planner.dynamics.kinematics import LinkPlaces, frame_pose
 from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.contact.laws import Contact, ContactLaw, Plane
 from planner.model.mechanism import Frame
@@ -63,7 +63,7 @@ def residual(m, x, u, a):
     r, size = M @ (a - without), np.abs(M).max() * np.abs(a).max()
     r -= friction_forces(m, v, a)[0]
     for contact in m.contacts:
-        place = contact_kinematics(m, contact, q[None], v[None])
+        place = contact_kinematics(LinkPlaces(m, q), contact, v[None])
         J, lead = np.vstack([place.J[0], turning(place)]), contact.law.lead
         ahead = np.append(place.v[0], J[3:] @ v) + lead * (J @ a)
         f = contact_wrench(contact.law, place.n, place.e, ahead[None, :3], ahead[None, 3:])[0][0]

@@ -13,6 +13,7 @@ from planner.base.errors import ModelError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.contact_kinematics import BodyContactKinematics
 from planner.dynamics.contacts import body_contact_forces, contact_forces
+from planner.dynamics.kinematics import LinkPlaces
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contacts import contact_attributes
@@ -53,7 +54,7 @@ def test_mujocos_forces_are_the_laws(name):
     qs[:, 7:10] = np.array([0.0, 0.0, 0.5]) + 0.2 * qs[:, 7:10]
     for address, _ in m.quaternions:
         qs[:, address : address + 4] /= np.linalg.norm(qs[:, address : address + 4], axis=1)[:, None]
-    place, depths = BodyContactKinematics(m, contact, qs, qds), 10 ** rng.uniform(-4, -2.3, size=100)
+    place, depths = BodyContactKinematics(LinkPlaces(m, qs), contact, qds), 10 ** rng.uniform(-4, -2.3, size=100)
     qs[:, 7:10] -= (place.e - depths)[:, None] * place.n  # the first is the raft: now they touch that deep
     ours = body_contact_forces(m, qs, qds)
     np.testing.assert_allclose(ours.depths[:, 0], depths, atol=1e-8)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from planner.dynamics.contacts import smoothstep
-from planner.dynamics.kinematics import frame_pose, jacobian, jacobian_derivatives, points_of
+from planner.dynamics.kinematics import LinkPlaces
 from planner.kernels.tree.residuals import kinds
 from planner.kernels.tree.residuals.frames import BLUNT
 from planner.kernels.tree.residuals.layout import PARALLEL, TINY
@@ -49,17 +49,22 @@ class KinematicsCache:
         self.q, self.v = xs[:, : mechanism.nq], xs[:, mechanism.velocities]
 
     @cached_property
+    def places(self) -> LinkPlaces:
+        """The links at the states."""
+        return LinkPlaces(self.mechanism, self.q)
+
+    @cached_property
     def positions(self) -> np.ndarray:
         """(K, P, 3) m, of the points in the world."""
         m = self.arrays
-        positions, _ = points_of(self.mechanism, self.q, m.link, m.offset, moving=False)
+        positions, _ = self.places.points(m.link, m.offset, moving=False)
         return m.share[:, None] * positions + np.swapaxes(m.world, 0, 1)
 
     @cached_property
     def jacobians(self) -> np.ndarray:
         """(K, P, 3, nv), derivatives of the positions."""
         m = self.arrays
-        return m.share[:, None, None] * points_of(self.mechanism, self.q, m.link, m.offset)[1]
+        return m.share[:, None, None] * self.places.points(m.link, m.offset)[1]
 
     @cached_property
     def velocities(self) -> np.ndarray:
@@ -68,7 +73,7 @@ class KinematicsCache:
 
     def velocity_by_q(self, p: int) -> np.ndarray:
         """(K, 3, nv), the derivative of point p's velocity with respect to the configuration."""
-        by_q = jacobian_derivatives(self.mechanism, self.q, self.frame(p))[:, :3]
+        by_q = self.places.jacobian_derivatives(self.frame(p))[:, :3]
         return self.arrays.share[p] * np.einsum("najk,nj->nak", by_q, self.v)
 
     def frame(self, p: int, rotation: np.ndarray | None = None) -> Frame:
@@ -81,15 +86,15 @@ class KinematicsCache:
 
     def pose(self, frame: Frame) -> np.ndarray:
         """(K, 4, 4) of a frame."""
-        return frame_pose(self.mechanism, self.q, frame)
+        return self.places.pose(frame)
 
     def jacobian(self, frame: Frame) -> np.ndarray:
         """(K, 6, nv) of a frame: linear, then angular rows, in the world's axes."""
-        return jacobian(self.mechanism, self.q, frame)
+        return self.places.jacobian(frame)
 
     def jacobian_rates(self, frame: Frame) -> np.ndarray:
         """(K, 6, nv), the derivative of the frame's velocity with respect to the configuration."""
-        return np.einsum("najk,nj->nak", jacobian_derivatives(self.mechanism, self.q, frame), self.v)
+        return np.einsum("najk,nj->nak", self.places.jacobian_derivatives(frame), self.v)
 
 
 @of_kinds(kinds.HEIGHT, kinds.DISTANCE, kinds.VELOCITY)
@@ -193,7 +198,7 @@ def center_of_mass_residual(cache: KinematicsCache, t: int, derivatives: bool) -
     m = cache.mechanism
     links = np.flatnonzero(m.mass > 0.0)
     share = m.mass[links] / m.mass.sum()
-    positions, J = points_of(m, cache.q, links, m.com[links], moving=derivatives)
+    positions, J = cache.places.points(links, m.com[links], moving=derivatives)
     value = np.einsum("l,nla->na", share, positions)
     return value, np.einsum("l,nlai->nai", share, J) if derivatives else J
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco
 from planner.dynamics.contact_kinematics import BodyContactKinematics, contact_kinematics
+from planner.dynamics.kinematics import LinkPlaces
 from planner.model.contact.body_contact import BodyContact
 from planner.model.contact.laws import Contact, Law, slide_direction
 from planner.model.mechanism import Mechanism
@@ -73,7 +74,7 @@ class ContactStateSampler:
     def place(self, x: np.ndarray) -> Any:
         """Kinematics of the contact at states (K, nx)."""
         m = self.mechanism
-        return contact_kinematics(m, self.contact, x[:, : m.nq], x[:, m.velocities])
+        return contact_kinematics(LinkPlaces(m, x[:, : m.nq]), self.contact, x[:, m.velocities])
 
     def matters(self, x: np.ndarray, fixed: np.ndarray) -> bool:
         """Whether a degree of freedom outside `fixed` changes the contact at states (K, nx)."""
@@ -126,9 +127,8 @@ class ContactStateSampler:
 
     def _lowest(self, x: np.ndarray) -> np.ndarray:
         m = self.mechanism
-        q, qd = x[:, : m.nq], x[:, m.velocities]
-        own = self.place(x).e
-        others = [contact_kinematics(m, other, q, qd).e for other in self._others]
+        at, qd = LinkPlaces(m, x[:, : m.nq]), x[:, m.velocities]
+        own, *others = (contact_kinematics(at, one, qd).e for one in (self.contact, *self._others))
         return np.all([own >= e - _ALMOST * self.depth for e in others], axis=0) if others else np.ones(len(x), bool)
 
     def moving(self, place: Any, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
