@@ -26,7 +26,7 @@ def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
         return False
     if at_limits(problem, plan) or stays_away(problem, plan):
         return True
-    return not _lacks_weight(problem, plan)
+    return not (plan.status is Status.CONVERGED and lacks_weight(problem, plan))
 
 
 def direct_iterations(problem: Problem, options: SolverOptions) -> int:
@@ -52,10 +52,8 @@ def failed(plan: Plan) -> bool:
     return plan.status in (*_UNSUCCESSFUL, Status.NOT_FINITE) or bool(plan.missed_goals)
 
 
-def _lacks_weight(problem: Problem, plan: Plan) -> bool:
-    """Whether a converged plan misses its goals by so little that weights are missing, and no other motion."""
-    if plan.status is not Status.CONVERGED:
-        return False
+def lacks_weight(problem: Problem, plan: Plan) -> bool:
+    """Whether a plan misses its goals by so little that weights are missing, and no other motion."""
     for one in goals_of(problem, plan.xs):
         farthest = 0.0 if one.times is not None else NEAR * float(np.max(one.error(plan.xs)))
         if not one.miss(plan.t, plan.xs) <= max(CLOSE * one.tolerance, farthest):

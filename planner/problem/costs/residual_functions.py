@@ -208,9 +208,11 @@ def slip_residual(cache: KinematicsCache, t: int, derivatives: bool) -> tuple[np
     """Tangential velocity of the lowest point of a sphere near a plane, times how near it is: three rows, m/s."""
     n, (level, radius, per) = cache.arrays.constant[t, :3], cache.arrays.constant[t, 3:6]
     frame = cache.frame(int(cache.arrays.ends[t, 0]))
-    J = cache.jacobian(frame)
     share, slope = smoothstep(1.0 / per - cache.pose(frame)[:, :3, 3] @ n + level, 1.0 / per)
+    if not share.any():  # a foot that is up all along
+        return np.zeros((len(share), 3)), np.zeros((len(share), 3, 2 * cache.nv))
     along = np.eye(3) - np.outer(n, n)
+    J = cache.jacobian(frame)
     lowest = along @ np.hstack([np.eye(3), radius * hat(n)])  # of a twist at the centre, with the arm -radius n
     speed = np.einsum("nai,ni->na", lowest @ J, cache.v)
     value = share[:, None] * speed
