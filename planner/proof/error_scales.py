@@ -123,6 +123,11 @@ def reaches_stops(mechanism: Mechanism, xs: np.ndarray) -> bool:
     return any(bool(np.any(stop_depth(mechanism, stop, xs) > -stop.law.surface_offset)) for stop in mechanism.stops)
 
 
+def is_path_judged(plan: Plan, unit: str) -> bool:
+    """Whether path errors of a unit are judged: not velocities of a plan with contacts, where they jump."""
+    return not (unit.endswith("/s") and has_contacts(plan))
+
+
 def is_nonsmooth(plan: Plan) -> bool:
     """Whether contact or friction forces of a plan's mechanism are too steep for the LQ model."""
     mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)

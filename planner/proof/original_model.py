@@ -50,6 +50,7 @@ from planner.problem.problem import Problem
 from planner.proof.error_scales import (
     bounds_in_file,
     has_contacts,
+    is_path_judged,
     path_error_bounds,
     replayed_violations,
     worst_by_unit,
@@ -311,8 +312,9 @@ def _goals(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> Sequenc
 def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
     """The largest deviation from the plan at any step, of each unit, with gains or without, whichever follows better.
 
-    Of a plan with contacts, whose law may be another than the file's, the path is not judged; where the file's
-    equalities are softer than the plan's it may be off by SMOOTHED.
+    Of a plan with contacts, whose law may be another than the file's, the path is not judged, and its velocities, which
+    jump there, are no part of the shares; where the file's equalities are softer than the plan's it may be off by
+    SMOOTHED.
     What is beyond its own bound is said by the first measurement, for the first line.
     """
     plan, rate = run.plan, _spring_rate(run.compiled.model)
@@ -321,9 +323,10 @@ def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
         how: list(worst_by_unit(plan, plan.space.difference(xs, run.plan_xs), allowed))
         for how, xs in (("with gains", run.xs), ("without gains", without_gains))
     }
-    shares = {how: max(one.share for one in each) for how, each in errors.items()}
+    judged = {how: [one for one in each if is_path_judged(plan, one.unit)] for how, each in errors.items()}
+    shares = {how: max(one.share for one in each) for how, each in judged.items()}
     how = min(shares, key=lambda how: shares[how])
-    worst = max(errors[how], key=lambda one: one.share)
+    worst = max(judged[how], key=lambda one: one.share)
     note = f"in your file {worst.value:.2g} {worst.unit} ({worst.name}) off its path {how}"
     bounds = [None if has_contacts(plan) else one.bound for one in errors[how]]
     return [

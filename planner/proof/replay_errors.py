@@ -21,8 +21,8 @@ from planner.proof.error_scales import (
     SHARE,
     SMOOTHED,
     by_unit,
-    has_contacts,
     is_nonsmooth,
+    is_path_judged,
     judged_cost,
     limit_violations,
     path_error_bounds,
@@ -59,7 +59,7 @@ def path_errors(run: Replay, problem: Problem) -> tuple[Measurement, ...]:
             worst = int(np.argmax(np.where(np.isfinite(most), most / bounds[which], np.inf)))
             value, bound = float(most[worst]), float(bounds[which[worst]])
             when = f" at t = {run.t[int(np.argmax(along[:, which[worst]]))]:.4g} s" if part == "path" else ""
-            jumps = part == "path" and has_contacts(run.plan) and unit.endswith("/s")
+            jumps = part == "path" and not is_path_judged(run.plan, unit)
             why = "velocities jump at contacts: not judged" if jumps else f"the bound is {share} of its range of motion"
             note = f"of {names[worst]}{when}; {why}"
             measured.append(Measurement(f"{part}_{word}_error", value, unit, None if jumps else bound, note))
