@@ -7,10 +7,10 @@ converges as far from its goals as it began from slightly shaken controls.
 With contacts the easier problem has softer ones (solvers.continuation): sinking ten times as deep, then less and
 less. Where objects are to be moved that nothing touches it has forces at a distance instead, from afar and then from
 nearer. Softer ones are also tried where a direct solve has not converged after MAX_QUICK_ITERATIONS, or twice as many
-where its feet stay and its plan meets the goals by then, or lacks weight for them; that goes on only where they lead
-to no plan that costs less. They are given up where the first plan on them costs EASIER times the direct one. The last
-solve always has the contacts of the problem; its plan is taken, too, where it costs less and lacks weight for its
-goals.
+where its feet stay or its cost has settled, and its plan meets the goals by then, or lacks weight for them; that goes
+on only where they lead to no plan that costs less. They are given up where the first plan on them costs EASIER times
+the direct one. The last solve always has the contacts of the problem; its plan is taken, too, where it costs less and
+lacks weight for its goals.
 
 Before, where joints have friction loss, the easier problem is one whose loss is full only at SMOOTHER times the speed:
 a joint that reverses then meets a damper and no kink. Its plan is the first guess of the asked problem.
@@ -60,6 +60,7 @@ from planner.solvers.trapped import (
     MAX_QUICK_ITERATIONS,
     NEAR,
     failed,
+    is_settled,
     is_trapped,
     lacks_weight,
     look_iterations,
@@ -171,7 +172,8 @@ class _Relaxation:
                     return direct
         stopped = direct.status is Status.MAX_ITERATIONS and look_iterations(problem) < limit
         at_goal = meets_goals(direct) or lacks_weight(problem, direct)
-        if stopped and stays_on_feet(problem, direct.xs) and at_goal:  # softer ones find nothing else
+        if stopped and at_goal and (stays_on_feet(problem, direct.xs) or is_settled(direct)):
+            # softer contacts find nothing else
             direct = self._resumed(direct, direct.nit + int(MAX_QUICK_ITERATIONS))
             if not is_trapped(problem, direct, self.options):
                 return direct

@@ -17,6 +17,7 @@ MAX_QUICK_ITERATIONS = Continuation.look_iterations  # of a direct solve with co
 FIRST_ITERATIONS = 300  # limit of the first solve of a branch, and of a direct one past obstacles
 NEAR = 0.1  # of the largest error of a goal along a plan: what misses it by less needs weight, not another motion
 CLOSE = 2.0  # tolerances, likewise
+SETTLED = 0.05  # of the cost
 _UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 
@@ -55,10 +56,16 @@ def failed(plan: Plan) -> bool:
 def lacks_weight(problem: Problem, plan: Plan) -> bool:
     """Whether a plan misses its goals by so little that weights are missing, and no other motion."""
     for one in goals_of(problem, plan.xs):
-        farthest = 0.0 if one.times is not None else NEAR * float(np.max(one.error(plan.xs)))
+        share = 1.0 if one.unit.endswith("/s") else NEAR  # a machine that is there and not at rest lacks weight
+        farthest = 0.0 if one.times is not None else share * float(np.max(one.error(plan.xs)))
         if not one.miss(plan.t, plan.xs) <= max(CLOSE * one.tolerance, farthest):
             return False
     return True
+
+
+def is_settled(plan: Plan) -> bool:
+    """Whether the last third of the iterations of a solve took at most SETTLED of its cost off."""
+    return bool(plan.history) and plan.history[2 * len(plan.history) // 3].cost - plan.cost <= SETTLED * abs(plan.cost)
 
 
 def stays_away(problem: Problem, plan: Plan) -> bool:
