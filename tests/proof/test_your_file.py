@@ -11,6 +11,7 @@ from planner.model.mjcf.file_law import watched_pairs
 from planner.model.mjcf.model_index import contact_pairs
 from planner.model.mjcf.text import edited
 from planner.problem.goals import GoalCheck
+from planner.proof.error_scales import path_error_bounds
 from planner.proof.original_model import your_file
 from planner.proof.replays.compiled_twin import CompiledTwin, left_out, unmodelled_of
 from planner.proof.replays.replaying import replay_in
@@ -247,3 +248,15 @@ def test_a_stiff_file_has_its_own_integrator():
     _, failed, run = judged(plan, -1.6)
     assert set(failed) == PATH  # the pointer turns freely in the plan
     assert run.integrator == "IMPLICIT"
+
+
+def test_velocities_of_a_plan_with_contacts_are_shown_and_no_part_of_its_path():
+    plan = planner.solve(planner.load_problem("quadruped"))
+    section, run = your_file(plan, plan.problem, [])
+    found = {one.name: one for one in section.measured}
+    shares = np.abs(plan.space.difference(run.xs, run.plan_xs)).max(axis=0) / path_error_bounds(plan)
+    nv = plan.problem.dynamics.mechanism.nv
+    assert found["path_with_gains_over_its_bound"].value == pytest.approx(shares[:nv].max())
+    assert shares[nv:].max() > 2.0 * shares[:nv].max()  # a foot lands a little early
+    assert found["largest_velocity_error"].bound is None
+    assert found["largest_velocity_error"].value > 0.0

@@ -13,7 +13,7 @@ from planner.solvers.continuation import REACH, DistantContacts, SofterContacts,
 from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 from planner.solvers.options import SolverOptions
 from planner.solvers.relaxation import relax
-from planner.solvers.trapped import MAX_QUICK_ITERATIONS
+from planner.solvers.trapped import MAX_QUICK_ITERATIONS, is_settled, lacks_weight
 
 DIRECT = SolverOptions(homotopy=False)
 
@@ -68,9 +68,15 @@ def test_feet_stay_that_are_loaded_at_all_knots(problem, push):
     assert not stays_on_feet(planner.cases.two_link(horizon=10), np.zeros((3, 4)))  # no contact
 
 
-def test_a_solve_on_feet_that_stay_and_that_meets_its_goals_goes_on_before_softer_contacts_are_tried():
-    rise = planner.load_problem("quadruped")
-    plan = planner.solve(rise)
+@pytest.fixture(scope="module")
+def rise():
+    """The quadruped's plan, and the entries of its velocities."""
+    plan = planner.solve(planner.load_problem("quadruped"))
+    return plan, plan.problem.dynamics.mechanism.velocities
+
+
+def test_a_solve_on_feet_that_stay_and_that_meets_its_goals_goes_on_before_softer_contacts_are_tried(rise):
+    plan, _ = rise
     cut = replace(plan, status=Status.MAX_ITERATIONS)
     asked = []
 
@@ -78,10 +84,31 @@ def test_a_solve_on_feet_that_stay_and_that_meets_its_goals_goes_on_before_softe
         asked.append(iterations)
         return plan
 
-    found, record = relax(rise, cut, solve_one, SolverOptions(), None)
+    found, record = relax(plan.problem, cut, solve_one, SolverOptions(), None)
     assert found.converged
     assert [step[0] for step in record["steps"]] == ["direct", "resumed"]
     assert asked == [MAX_QUICK_ITERATIONS]  # as many again
+
+
+def test_a_cost_has_settled_once_a_third_of_the_iterations_took_little_off(unfinished):
+    def solved(*costs):
+        rows = tuple(unfinished.history[0]._replace(cost=cost) for cost in costs)
+        return replace(unfinished, history=rows, cost=costs[-1])
+
+    assert is_settled(solved(9.0, 8.0, 7.0, 2.0, 1.04, 1.02, 1.0))
+    assert not is_settled(solved(9.0, 8.0, 7.0, 2.0, 1.06, 1.02, 1.0))  # 6 % in the last third, 5 % is SETTLED
+    assert not is_settled(replace(unfinished, history=()))
+
+
+def test_a_plan_that_arrives_too_fast_lacks_weight_and_one_that_stays_away_does_not(rise):
+    plan, velocities = rise
+    fast, low = plan.xs.copy(), plan.xs.copy()
+    most = np.abs(plan.xs[:, velocities]).max(axis=0)
+    fast[-1, velocities] = 0.9 * most
+    low[-1] = plan.xs[plan.N // 2]
+    assert lacks_weight(plan.problem, plan)
+    assert lacks_weight(plan.problem, replace(plan, xs=fast))
+    assert not lacks_weight(plan.problem, replace(plan, xs=low))
 
 
 @pytest.mark.slow  # a jump takes 10 s
