@@ -267,7 +267,7 @@ def _inner_solve(
     # Where contacts are nonsmooth, a weight on changes of the states does not help.
     machine = capabilities_of(problem.dynamics)
     smooth = options.feedback and not (machine.contacts or machine.stops or machine.friction_loss)
-    at_bounds = problem.bounds is not None and not machine.contacts
+    at_bounds = problem.bounds is not None and not (machine.contacts or machine.friction_loss)
     regularization = Regularization(engine, exact, exact or states is not None, at_bounds, smooth, options)
     acceleration = AndersonAcceleration(problem, engine, options)
     has_inequalities = problem.limits is not None or problem.trajectory_constraints is not None
