@@ -78,10 +78,9 @@ def cost_error(run: Replay, problem: Problem) -> Measurement:
         note += "; what the end costs is judged as the goal"
     if scale > abs(planned):
         note += f"; relative to {scale:.3g}, what errors at their bounds cost"
-    bound, by_errors = COST_BOUND, 100.0 * cost.change_by_errors(plan, problem) / scale
-    if is_nonsmooth(run.plan):
-        bound = 100.0 * SMOOTHED
-    elif by_errors > COST_BOUND:
+    bound = 100.0 * SMOOTHED if is_nonsmooth(run.plan) else COST_BOUND
+    by_errors = 100.0 * cost.change_by_errors(plan, problem) / scale
+    if by_errors > bound:
         bound, note = by_errors, f"{note}; the bound is what path errors at theirs change"
     return Measurement("cost_error", error, "%", bound, note)
 
