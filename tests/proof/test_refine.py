@@ -219,6 +219,27 @@ def test_an_end_error_that_half_the_step_leaves_ends_refinement(failed, errors, 
     assert refinement._done(failed[1], path[:2], 4) == ""  # RK4 in place of Euler may be another plan
 
 
+@pytest.mark.parametrize(
+    ("errors", "ends"),
+    [
+        ((17.0, 585.0, 552.0), True),
+        ((17.0, 585.0, 9.0), False),
+        ((17.0, 585.0), False),
+        ((17.0, math.inf, math.inf), True),
+    ],
+)
+def test_of_two_refinements_that_end_further_off_none_is_kept(failed, monkeypatch, errors, ends):
+    """Gains of shorter stages may follow a foot worse than those of longer ones."""
+    plan, proof = failed
+    lines = iter(errors)
+    true_line = refinement._line
+    monkeypatch.setattr(refinement, "_line", lambda *line: true_line(*line)._replace(end_error=next(lines)))
+    refined = refine(plan, proof, limit=len(errors) - 1, prove=lambda _: replace(proof, replay=proof.replay))
+    assert (refined.plan is plan) is ends
+    assert (refined.proof is proof) is ends
+    assert len(refined.path) == len(errors)
+
+
 def test_the_work_budget_ends_refinement(failed):
     _, proof = failed
     plan = planner.solve(planner.cases.two_link(horizon=50, integrator="semi-implicit-euler"))  # of 26 iterations

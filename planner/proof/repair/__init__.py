@@ -90,8 +90,9 @@ def repair(
         if done.plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt  # the next run begins an interrupted refinement again
         if len(done.path) > 1:
-            plan, proof, path = done.plan, done.proof, done.path
             tools.report(done)
+        if done.plan is not plan:
+            plan, proof, path = done.plan, done.proof, done.path
             tools.store(plan, "refined", path)
     if proof is not None and not proof.passed:
         better, judged = leave_saddles(

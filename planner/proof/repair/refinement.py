@@ -86,7 +86,7 @@ class Refined:
     """The result of refine().
 
     Attributes:
-        plan: The last plan that was proved.
+        plan: The last plan that was proved; the one that refine() was given where two in a row are further off.
         proof: Its proof.
         path: One Refinement per plan, the first of which is the one that refine() was given.
         reason: Why it ended there, in a sentence.
@@ -128,8 +128,7 @@ def refine(
             actual_reduction_tolerance.
 
     Returns:
-        The last plan that was proved, and why it is the last. That it never passed is its proof's verdict, not an
-        exception.
+        The plan to keep, and why there is no other. That it never passed is its proof's verdict, not an exception.
 
     Raises:
         PlannerError: A wrong argument; or a refined plan cannot be replayed at all.
@@ -143,6 +142,7 @@ def refine(
     work = budget_of(budget) or WorkBudget(DEFAULT_WORK)
     prove = prove or partial(full_proof, rollouts=0)
     path: list[Refinement] = []
+    given = plan, proof
 
     def ended(line: Refinement) -> bool:
         path.append(line)
@@ -156,6 +156,8 @@ def refine(
     interrupted = ended(_line(plan, proof, math.nan))
     while True:
         reason = _done(proof, path, limit) or ("It was interrupted." if interrupted else "")
+        if not proof.passed and _grows(path):
+            reason, (plan, proof) = "A finer step does not help where the error of the end grows by it.", given
         if reason or work.exhausted:
             reason = reason or work.end.value
             break
@@ -197,6 +199,11 @@ def _done(proof: Proof, path: list[Refinement], limit: int) -> str:
     if refinements > 1 and proof.replay.plan.status is not Status.UNRESOLVED and _same(path[-2], path[-1]):
         return "A finer step does not help where half of it hardly changes the error of the end."
     return f"The limit of {_counted(limit)} was reached." if refinements >= limit else ""
+
+
+def _grows(path: list[Refinement]) -> bool:
+    """Whether the last two plans end further off than the one that was given, not refined."""
+    return len(path) > 2 and min(line.end_error for line in path[-2:]) > path[0].end_error
 
 
 def _same(before: Refinement, now: Refinement) -> bool:
