@@ -107,11 +107,8 @@ def contact_jacobians(mechanism: Mechanism, q: Any, which: Any = None) -> np.nda
     q = np.asarray(q, dtype=float)
     q, _, single = _states(mechanism, q, np.zeros((*q.shape[:-1], mechanism.nv)))
     contacts = mechanism.contacts if which is None else [mechanism.contacts[k] for k in which]
-    J, at, still = (
-        np.zeros((len(q), len(contacts), 3, mechanism.nv)),
-        LinkPlaces(mechanism, q),
-        np.zeros((len(q), mechanism.nv)),
-    )
+    at, still = LinkPlaces(mechanism, q), np.zeros((len(q), mechanism.nv))
+    J = np.zeros((len(q), len(contacts), 3, mechanism.nv))
     for k, contact in enumerate(contacts):
         J[:, k] = PlaneContactKinematics(at, contact, still).J
     return J[0] if single else J

@@ -30,6 +30,9 @@ class LinkPlaces:
         q: (K, nq) or (nq,) configurations, m and rad.
 
     Attributes:
+        mechanism: The machine.
+        q: (K, nq), K = 1 for a single configuration, as in all results.
+        out: Result -> result, without its first axis where a single configuration was given.
         T: (K, nv, 4, 4) pose of each link in the world.
         screws: (K, nv, 6), angular and linear, about the origins.
         origin: (K, nv, 3), m.

@@ -17,7 +17,7 @@ from planner.base.measured import Measurement
 from planner.problem.goals import GoalCheck
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.error_scales import has_contacts, worst_by_unit
+from planner.proof.error_scales import is_path_judged, worst_by_unit
 from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.passive_torque_callback import curves_acting
@@ -105,7 +105,7 @@ def _errors(
     errors = list(worst_by_unit(plan, plan.space.difference(xs, planned)))
     if problem.requirements is not None:
         return errors, ""  # a rule of its own judges replays alone
-    judged = [one for one in errors if not (has_contacts(plan) and one.unit.endswith("/s"))]
+    judged = [one for one in errors if is_path_judged(plan, one.unit)]
     unmet = [one for one in misses("replayed", t, xs, tuple(goals)) if not one.passed]
     worst = max(judged, key=lambda one: one.share)
     if worst.share > 1.0:

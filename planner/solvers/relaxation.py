@@ -6,11 +6,11 @@ converges as far from its goals as it began from slightly shaken controls.
 
 With contacts the easier problem has softer ones (solvers.continuation): sinking ten times as deep, then less and
 less. Where objects are to be moved that nothing touches it has forces at a distance instead, from afar and then from
-nearer. Softer ones are also tried where a direct solve has not converged after MAX_QUICK_ITERATIONS, or twice as many
-where its feet stay or its cost has settled, and its plan meets the goals by then, or lacks weight for them; that goes
-on only where they lead to no plan that costs less. They are given up where the first plan on them costs EASIER times
-the direct one. The last solve always has the contacts of the problem; its plan is taken, too, where it costs less and
-lacks weight for its goals.
+nearer. Softer ones are also tried where a direct solve has not converged after MAX_QUICK_ITERATIONS. One that is near
+its end goes on for as many first: its plan is at its goals or lacks weight for them, and its feet stay or its cost
+has settled. The others go on only where softer contacts lead to no plan that costs less. Those are given up where the
+first plan on them costs EASIER times the direct one. The last solve always has the contacts of the problem; its plan
+is taken, too, where it costs less and lacks weight for its goals.
 
 Before, where joints have friction loss, the easier problem is one whose loss is full only at SMOOTHER times the speed:
 a joint that reverses then meets a damper and no kink. Its plan is the first guess of the asked problem.
@@ -171,10 +171,8 @@ class _Relaxation:
                 if not is_trapped(problem, direct, self.options):
                     return direct
         stopped = direct.status is Status.MAX_ITERATIONS and look_iterations(problem) < limit
-        at_goal = meets_goals(direct) or lacks_weight(problem, direct)
-        if stopped and at_goal and (stays_on_feet(problem, direct.xs) or is_settled(direct)):
-            # softer contacts find nothing else
-            direct = self._resumed(direct, direct.nit + int(MAX_QUICK_ITERATIONS))
+        if stopped and has_softer(problem) and self._is_near(direct):  # softer contacts find nothing else
+            direct = self._resumed(direct, int(MAX_QUICK_ITERATIONS))
             if not is_trapped(problem, direct, self.options):
                 return direct
             stopped = direct.status is Status.MAX_ITERATIONS
@@ -185,7 +183,8 @@ class _Relaxation:
         elif stopped or not meets_goals(direct):
             plan = self._by_other_guesses(direct)
         if stopped and (plan is None or (has_softer(problem) and plan.cost >= direct.cost)):
-            direct = self._resumed(direct, limit)
+            spent = sum(step.iterations for step in self.steps if step.stage in ("direct", "resumed"))
+            direct = self._resumed(direct, limit - spent)
         if plan is not None and (
             plan.cost < direct.cost or (failed(direct) and (meets_goals(plan) or not math.isfinite(direct.cost)))
         ):
@@ -287,13 +286,20 @@ class _Relaxation:
         s, plan = continuation.run(math.log(family.factor), soft)
         return plan if s == 0.0 else None
 
-    def _resumed(self, direct: Plan, limit: int) -> Plan:
-        """The direct solve to its end, from where direct_iterations stopped it."""
-        if direct.nit >= limit:
+    def _is_near(self, direct: Plan) -> bool:
+        """Whether a plan is at its goals, or lacks weight for them, on feet that stay or at a cost that has settled."""
+        at_goals = meets_goals(direct) or lacks_weight(self.problem, direct)
+        return at_goals and (stays_on_feet(self.problem, direct.xs) or is_settled(direct))
+
+    def _resumed(self, direct: Plan, iterations: int) -> Plan:
+        """The direct solve from where direct_iterations stopped it, for so many iterations at most."""
+        if iterations <= 0:
             return direct
-        allowed = self._allowed(self.problem, limit - direct.nit)
+        allowed = self._allowed(self.problem, iterations)
         plan = self.solve_one(self.problem, self.options, None, direct.bound_penalties, direct.us, allowed, None)
         plan = replace(plan, starts=direct.starts)
+        if plan.cost <= direct.cost:
+            self.best = plan
         self._report("resumed", 1.0, plan, not failed(plan))
         return plan
 

@@ -264,7 +264,7 @@ def _inner_solve(
     if not math.isfinite(cost) or has_diverged(engine.trajectory()[0]).any():
         return _not_finite(problem, engine, cost)
 
-    # Where contacts are nonsmooth, a weight on changes of the states does not help.
+    # At kinks of contacts and friction a weight on changes of the states does not help.
     machine = capabilities_of(problem.dynamics)
     smooth = options.feedback and not (machine.contacts or machine.stops or machine.friction_loss)
     at_bounds = problem.bounds is not None and not (machine.contacts or machine.friction_loss)

@@ -45,8 +45,8 @@ class Regularization:
         engine: Of the solve, after its start.
         exact: Whether its Hessians are exact.
         regularize_states: Whether short steps increase the weight on changes of the states.
-        at_bounds: Whether they do so while controls are at their bounds. False for contacts, whose nonsmoothness
-            causes short steps: a hop then takes 1,200 iterations instead of 320.
+        at_bounds: Whether they do so while controls are at their bounds. False for contacts and friction
+            loss, whose kinks cause short steps: a hop then takes 1,200 iterations instead of 320.
         smooth: Whether max_short_steps short steps in a row begin to do so: a model that is wrong beyond a small part
             of its step stays so, in free flight for hundreds of iterations.
         options: Limits and factors of the weights.

@@ -16,6 +16,7 @@ from planner.solvers.options import DEFAULT, SolverOptions
 MAX_QUICK_ITERATIONS = Continuation.look_iterations  # of a direct solve with contacts: then it crawls along their kinks
 FIRST_ITERATIONS = 300  # limit of the first solve of a branch, and of a direct one past obstacles
 NEAR = 0.1  # of the largest error of a goal along a plan: what misses it by less needs weight, not another motion
+SLOWER = 0.75  # the same of a velocity, with contacts
 CLOSE = 2.0  # tolerances, likewise
 SETTLED = 0.05  # of the cost
 _UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
@@ -56,7 +57,8 @@ def failed(plan: Plan) -> bool:
 def lacks_weight(problem: Problem, plan: Plan) -> bool:
     """Whether a plan misses its goals by so little that weights are missing, and no other motion."""
     for one in goals_of(problem, plan.xs):
-        share = 1.0 if one.unit.endswith("/s") else NEAR  # a machine that is there and not at rest lacks weight
+        # machines with contacts have small weights on where they end: one that is there and slows down lacks them
+        share = SLOWER if one.unit.endswith("/s") and has_softer(problem) else NEAR
         farthest = 0.0 if one.times is not None else share * float(np.max(one.error(plan.xs)))
         if not one.miss(plan.t, plan.xs) <= max(CLOSE * one.tolerance, farthest):
             return False
@@ -65,7 +67,8 @@ def lacks_weight(problem: Problem, plan: Plan) -> bool:
 
 def is_settled(plan: Plan) -> bool:
     """Whether the last third of the iterations of a solve took at most SETTLED of its cost off."""
-    return bool(plan.history) and plan.history[2 * len(plan.history) // 3].cost - plan.cost <= SETTLED * abs(plan.cost)
+    costs = [line.cost for line in plan.history[2 * len(plan.history) // 3 :]]
+    return len(costs) > 1 and abs(costs[0] - costs[-1]) <= SETTLED * abs(costs[-1])
 
 
 def stays_away(problem: Problem, plan: Plan) -> bool:

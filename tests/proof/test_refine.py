@@ -224,6 +224,7 @@ def test_an_end_error_that_half_the_step_leaves_ends_refinement(failed, errors, 
     [
         ((17.0, 585.0, 552.0), True),
         ((17.0, 585.0, 9.0), False),
+        ((1e-3, 0.02, 0.02), False),  # all within their bounds: something else fails
         ((17.0, 585.0), False),
         ((17.0, math.inf, math.inf), True),
     ],
@@ -232,8 +233,7 @@ def test_of_two_refinements_that_end_further_off_none_is_kept(failed, monkeypatc
     """Gains of shorter stages may follow a foot worse than those of longer ones."""
     plan, proof = failed
     lines = iter(errors)
-    true_line = refinement._line
-    monkeypatch.setattr(refinement, "_line", lambda *line: true_line(*line)._replace(end_error=next(lines)))
+    monkeypatch.setattr(refinement, "_end_error", lambda _, mode: next(lines) if mode == "feedback" else 1.0)
     refined = refine(plan, proof, limit=len(errors) - 1, prove=lambda _: replace(proof, replay=proof.replay))
     assert (refined.plan is plan) is ends
     assert (refined.proof is proof) is ends

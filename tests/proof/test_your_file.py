@@ -11,8 +11,9 @@ from planner.model.mjcf.file_law import watched_pairs
 from planner.model.mjcf.model_index import contact_pairs
 from planner.model.mjcf.text import edited
 from planner.problem.goals import GoalCheck
-from planner.proof.error_scales import path_error_bounds
+from planner.proof.error_scales import SMOOTHED, judged_cost, path_error_bounds
 from planner.proof.original_model import your_file
+from planner.proof.replay_errors import cost_error
 from planner.proof.replays.compiled_twin import CompiledTwin, left_out, unmodelled_of
 from planner.proof.replays.replaying import replay_in
 
@@ -260,3 +261,14 @@ def test_velocities_of_a_plan_with_contacts_are_shown_and_no_part_of_its_path():
     assert shares[nv:].max() > 2.0 * shares[:nv].max()  # a foot lands a little early
     assert found["largest_velocity_error"].bound is None
     assert found["largest_velocity_error"].value > 0.0
+
+
+def test_the_cost_of_a_plan_with_contacts_may_differ_by_what_its_path_may():
+    plan = planner.solve(planner.load_problem("quadruped"))
+    _, run = your_file(plan, plan.problem, [])
+    cost = judged_cost(plan.problem)
+    by_errors = 100.0 * cost.change_by_errors(plan, plan.problem) / cost.scale(plan, plan.problem)
+    assert by_errors > 100.0 * SMOOTHED  # %
+    measured = cost_error(run, plan.problem)
+    assert measured.bound == by_errors
+    assert measured.note.endswith("the bound is what path errors at theirs change")

@@ -239,3 +239,18 @@ def test_friction_between_two_signs_is_no_end(tmp_path):
     assert plan.success
     assert plan.cost < 1.001 * planner.solve(problem, actual_reduction_tolerance=0.0).cost
     assert plan.nit < 100
+
+
+def test_kinks_of_friction_at_control_limits_are_not_regularized(tmp_path):
+    """With a weight on changes of the states it took 232 iterations to the same cost: slow ones end no solve then."""
+    weak = RUBBING.replace("-40 40", "-12 12").replace("-15 15", "-4.5 4.5")  # 0.3 of them, which bind
+    (tmp_path / "arm.xml").write_text(weak)
+    file = 'model = "arm.xml"\nstart = { shoulder = 1.5 }\ngoal = { shoulder = -1.0, elbow = 1.5 }\nduration = 1.0\n'
+    (tmp_path / "arm.toml").write_text(file)
+    problem = planner.load_problem(tmp_path / "arm.toml")
+    plan = planner.solve(problem, planner.SolverOptions(homotopy=False))
+    assert plan.converged
+    assert np.any(problem.bounds.upper - plan.us < 1e-9)
+    assert max(line.regularization for line in plan.history) == 0.0
+    assert plan.nit < 100
+    assert plan.cost == pytest.approx(0.88711, rel=1e-3)  # that of the 232

@@ -100,15 +100,31 @@ def test_a_cost_has_settled_once_a_third_of_the_iterations_took_little_off(unfin
     assert not is_settled(replace(unfinished, history=()))
 
 
-def test_a_plan_that_arrives_too_fast_lacks_weight_and_one_that_stays_away_does_not(rise):
+def test_a_plan_that_slows_down_lacks_weight_and_one_that_does_not_or_stays_away_does_not(rise):
     plan, velocities = rise
-    fast, low = plan.xs.copy(), plan.xs.copy()
+    slower, fast, low = (plan.xs.copy() for _ in range(3))
     most = np.abs(plan.xs[:, velocities]).max(axis=0)
-    fast[-1, velocities] = 0.9 * most
+    slower[-1, velocities], fast[-1, velocities] = 0.7 * most, most  # SLOWER is 0.75
     low[-1] = plan.xs[plan.N // 2]
     assert lacks_weight(plan.problem, plan)
-    assert lacks_weight(plan.problem, replace(plan, xs=fast))
+    assert lacks_weight(plan.problem, replace(plan, xs=slower))
+    assert not lacks_weight(plan.problem, replace(plan, xs=fast))
     assert not lacks_weight(plan.problem, replace(plan, xs=low))
+
+
+@pytest.mark.parametrize(
+    ("costs", "second"),
+    [((9.0, 8.0, 7.0, 1.0, 1.0, 1.0), "resumed"), ((9.0, 8.0, 7.0, 6.0, 5.0, 1.0), "contacts")],
+)
+def test_a_solve_that_steps_and_has_settled_at_its_goals_goes_on_before_softer_contacts_are_tried(rise, costs, second):
+    plan, _ = rise
+    xs = plan.xs.copy()
+    xs[plan.N // 2, 2] += 0.1  # m: the feet leave the ground
+    rows = tuple(plan.history[0]._replace(cost=cost) for cost in costs)
+    cut = replace(plan, xs=xs, status=Status.MAX_ITERATIONS, history=rows, cost=costs[-1])
+    assert not stays_on_feet(plan.problem, xs)
+    _, record = relax(plan.problem, cut, lambda *_: plan, SolverOptions(), None)
+    assert [step[0] for step in record["steps"][:2]] == ["direct", second]
 
 
 @pytest.mark.slow  # a jump takes 10 s

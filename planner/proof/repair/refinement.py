@@ -142,10 +142,13 @@ def refine(
     work = budget_of(budget) or WorkBudget(DEFAULT_WORK)
     prove = prove or partial(full_proof, rollouts=0)
     path: list[Refinement] = []
+    with_gains: list[float] = []  # errors of the ends: open loop a machine that falls has any
     given = plan, proof
 
-    def ended(line: Refinement) -> bool:
+    def ended(plan: Plan, proof: Proof, seconds: float) -> bool:
+        line = _line(plan, proof, seconds)
         path.append(line)
+        with_gains.append(_end_error(proof, "feedback"))
         try:
             if callback is not None:
                 callback(line)
@@ -153,11 +156,11 @@ def refine(
             return True
         return False
 
-    interrupted = ended(_line(plan, proof, math.nan))
+    interrupted = ended(plan, proof, math.nan)
     while True:
         reason = _done(proof, path, limit) or ("It was interrupted." if interrupted else "")
-        if not proof.passed and _grows(path):
-            reason, (plan, proof) = "A finer step does not help where the error of the end grows by it.", given
+        if not (interrupted or proof.passed) and plan.status is not Status.UNRESOLVED and _grows(with_gains):
+            reason, (plan, proof) = "Two finer steps end further off: the plan before them is kept.", given
         if reason or work.exhausted:
             reason = reason or work.end.value
             break
@@ -185,7 +188,7 @@ def refine(
         work.charge_proof(problem)
         interrupted = better.status is Status.INTERRUPTED
         plan, proof = better, prove(better)
-        interrupted |= ended(_line(plan, proof, time.monotonic() - began))
+        interrupted |= ended(plan, proof, time.monotonic() - began)
     return Refined(plan, proof, tuple(path), reason)
 
 
@@ -201,9 +204,9 @@ def _done(proof: Proof, path: list[Refinement], limit: int) -> str:
     return f"The limit of {_counted(limit)} was reached." if refinements >= limit else ""
 
 
-def _grows(path: list[Refinement]) -> bool:
-    """Whether the last two plans end further off than the one that was given, not refined."""
-    return len(path) > 2 and min(line.end_error for line in path[-2:]) > path[0].end_error
+def _grows(errors: list[float]) -> bool:
+    """Whether the last two plans end beyond their bounds, and further off than the one that was given."""
+    return len(errors) > 2 and min(errors[-2:]) > max(1.0, errors[0])
 
 
 def _same(before: Refinement, now: Refinement) -> bool:
@@ -245,12 +248,17 @@ def _other_cause(proof: Proof) -> str:
     return ""
 
 
+def _end_error(proof: Proof, mode: str) -> float:
+    """The largest error of a replay's end as a share of what passes of a path; infinite where MuJoCo ran away."""
+    run = proof.replays[mode]
+    error = float(shares_of_bounds(run.plan, run.error[-1:])[0])
+    return error if error < math.inf else math.inf
+
+
 def _line(plan: Plan, proof: Proof, seconds: float) -> Refinement:
     assert plan.problem is not None
     dynamics = plan.problem.dynamics
-    run = proof.replays[proof.mode or "open-loop"]
-    error = float(shares_of_bounds(run.plan, run.error[-1:])[0])  # NaN where MuJoCo ran away
     return Refinement(
         getattr(dynamics, "integrator", ""), dynamics.dt, plan.N, plan.nit, plan.cost, plan.status, proof.verdict,
-        proof.mode, error if error < math.inf else math.inf, seconds,
+        proof.mode, _end_error(proof, proof.mode or "open-loop"), seconds,
     )  # fmt: skip
