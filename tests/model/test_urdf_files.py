@@ -280,3 +280,11 @@ def test_files_as_others_write_them(tmp_path):
     text = "\n" + ARM.replace("</robot>", "<sensor:camera/><gazebo><sensor:camera/></gazebo></robot>")
     (tmp_path / "arm.urdf").write_text(text)
     assert Mechanism.from_urdf(tmp_path / "arm.urdf").nv == 3
+
+
+def test_a_world_that_is_no_link_of_the_file_is_the_world():
+    hung = link("b", inertial()), joint("j", "world", "b", xyz="0.1 0.2 0.3")
+    without, with_it = (Mechanism.from_urdf(robot(*parts)) for parts in (hung, (link("world"), *hung)))
+    assert without.nv == 1
+    np.testing.assert_array_equal(without.T_home, with_it.T_home)
+    np.testing.assert_array_equal(without.com, with_it.com)

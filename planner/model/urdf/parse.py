@@ -195,6 +195,8 @@ def robot_of(text: str, name: str) -> Robot:
     if not links:
         raise ModelError(f"{name} has no links, expected some.")
     joints = [joint_of(element, name) for element in root.iterfind("joint")]
+    if "world" not in links and any(joint.parent == "world" for joint in joints):  # as Drake's files leave it out
+        links = {"world": Link("world", None, (), ()), **links}
     _check_references(joints, links, name)
     first, ordered = _in_order(joints, links, name)
     meshdir = next((c.get("meshdir", "") for c in root.iterfind("mujoco/compiler")), "")
@@ -232,7 +234,8 @@ def _check_references(joints: list[Joint], links: dict[str, Link], name: str) ->
         for end in (joint.parent, joint.child):
             if end not in links:
                 raise ModelError(
-                    f"joint {joint.name!r} of {name} names the link {short_repr(end)}, which it does not have."
+                    f"joint {joint.name!r} of {name} names the link {short_repr(end)}, which it does not have: write "
+                    f"<link name={end!r}/>, or the name of one that it has."
                 )
         leader, seen = joint, {joint.name}
         while leader.mimic is not None:
