@@ -343,6 +343,7 @@ def test_every_fail_says_something(tmp_path, monkeypatch):
     monkeypatch.setattr("planner.proof.diagnostics._CAUSES", ())
     (only,) = suggested_fixes(plan, proof)
     assert (only.code, only.value) == ("unknown", None)
+    assert f"give the motion more than {plan.problem.duration:g} s" in only.sentence  # a next step in any case
     (left,) = not_a_minimum(plan, plan.problem, proof)
     assert (left.code, left.value) == ("not_a_minimum", None)
 

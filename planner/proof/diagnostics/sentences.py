@@ -9,11 +9,11 @@ SENTENCES = {
     # The goal and the ground
     "goal_unbalanced": "No plan stays at the goal, which is put on the ground, where it does not balance: {cause}",
     "falls": "The machine loses its balance: an error grows as exp({rate:.3g} t), t in s, and with the plan's gains it "
-    "becomes {share:.3g} times what passes. No key is known to help: begin with a goal nearer to the start, or write a "
+    "becomes {share:.3g} times what passes. Begin with a goal nearer to the start, or write a "
     "`start` and a `goal` with the centre of mass over the middle of the feet.",
     "ground_differs": "The plan's gains hold the machine in the plan's own model: an error that grows as "
     "exp({rate:.3g} t), t in s, becomes {share:.3g} times what passes. MuJoCo's contacts act otherwise there: they "
-    "slip less and give more (docs/contact.md). No key is known to help: begin with a shorter or slower motion.",
+    "slip less and give more (docs/contact.md). Begin with a shorter or slower motion.",
     "gait_needed": "its four feet have to go {distance:.2g}, by a dozen steps that no first guess knows: a gait says "
     "which feet swing when (docs/contact.md)",
     # Shapes
@@ -67,7 +67,8 @@ SENTENCES = {
     "minimum.",
     "saddle": "The solve ended where the gradient vanishes, and in one direction the cost still falls, by a curvature "
     "of {curvature:.3g}: ask `planner prove --feasible`, for which the plan need not be a minimum.",
-    "unknown": "For {failed} no key of the problem is known to help; docs/questions.md has what others met.",
+    "unknown": "No cause of {failed} is known: give the motion more than {duration}, or a goal nearer to its start; "
+    "docs/questions.md has what others met.",
     # The stage
     "first_order": "with {integrator} plan and MuJoCo differ by {share} what passes, an error of first order",
     "stage_too_long": "at {dt:.4g} plan and MuJoCo differ by {share} what passes, an error that falls with the power "

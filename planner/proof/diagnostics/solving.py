@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from planner.base.measured import Quantity
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.stage import rates_at_start, rounded_step
@@ -96,4 +97,5 @@ def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> Suggeste
         other = ("refined_open_loop", "order") if proof.replay.feedback else ("refined_feedback",)
         sections = [section for name, section in proof.sections.items() if name not in other]
         failed = [one for section in sections for one in section.failures]
-    return no_fix("", "unknown", failed=failed[0].name.replace("_", " ") if failed else "the solve")
+    what = failed[0].name.replace("_", " ") if failed else "the end of the solve"
+    return no_fix("", "unknown", failed=what, duration=Quantity(problem.duration, "s"))
