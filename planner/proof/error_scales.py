@@ -234,13 +234,14 @@ class JudgedCost(NamedTuple):
         return max(abs(self(problem, plan.xs, plan.us)), of_errors, of_rounding, np.finfo(float).tiny)
 
     def change_by_errors(self, plan: Plan, problem: Problem) -> float:
-        """By how much path errors at their bounds change it to first order: sum |dJ/dx| e.
+        """By how much path errors at their bounds change it to first order: sum |dJ/dx| e, of those that are judged.
 
         More than 1 % of it where a plan keeps so near to its reference that the cost is a small difference.
         """
         gradient = problem.cost.quadratize(plan.xs, plan.us).q
         gradient = gradient[:-1] if self.final else gradient
-        return float(np.sum(np.abs(gradient) @ path_error_bounds(plan)))
+        judged = [is_path_judged(plan, unit) for unit in _units(plan)]
+        return float(np.sum(np.abs(gradient[:, judged]) @ path_error_bounds(plan)[judged]))
 
 
 def judged_cost(problem: Problem) -> JudgedCost:
