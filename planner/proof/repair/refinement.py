@@ -21,11 +21,11 @@ from typing import Any, NamedTuple
 from planner.base.arguments import count, short_repr
 from planner.base.errors import PlannerError
 from planner.problem.plan import Plan, Status
-from planner.problem.rediscretize import finer
+from planner.problem.rediscretize import finer, step_error
 from planner.proof import Proof
 from planner.proof import prove as full_proof
 from planner.proof.error_propagation import FACTOR
-from planner.proof.error_scales import shares_of_bounds
+from planner.proof.error_scales import SMOOTHED, has_contacts, is_path_judged, shares_of_bounds, worst_by_unit
 from planner.proof.original_model import OVERLAPS_THAT_PUSH
 from planner.proof.replays.replaying import reached_by_plan
 from planner.solvers.gains import warm_start
@@ -245,7 +245,13 @@ def _other_cause(proof: Proof) -> str:
         ratio = proof.errors.ratio(mode)
         if ratio is not None and ratio > FACTOR:
             return f"the replay is {ratio:.3g} times worse than the step makes it ({mode})."
-    return ""
+    run = proof.replays["feedback"]
+    if not has_contacts(run.plan):
+        return ""
+    off = max(one.share for one in worst_by_unit(run.plan, run.error) if is_path_judged(run.plan, one.unit))
+    ratio = SMOOTHED * off / step_error(run.plan)  # of ranges of motion
+    astray = off < FALLEN and ratio > FACTOR
+    return f"contacts make the replay {ratio:.3g} times worse than the step does (feedback)." if astray else ""
 
 
 def _end_error(proof: Proof, mode: str) -> float:
