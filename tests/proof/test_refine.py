@@ -11,6 +11,8 @@ from swings import mechanism, quick, solved, strange, swing
 import planner
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Status
+from planner.problem.rediscretize import step_error
+from planner.proof.error_scales import ranges_of_motion
 from planner.proof.original_model import OVERLAPS_THAT_PUSH
 from planner.proof.repair import refinement
 from planner.proof.repair.refinement import Refinement, refine
@@ -181,6 +183,31 @@ def test_shapes_that_overlap_at_the_start_and_push(failed):
     file = replace(proof.your_file, measured=(*proof.your_file.measured, *seen), not_applicable="")
     other = refinement._other_cause(replace(proof, sections=proof.sections | {"your_file": file}))
     assert other.startswith("shapes of the file overlap at the start")
+
+
+@pytest.fixture(scope="module")
+def rise():
+    """A plan of a machine with contacts, and its proof as if both refined replays failed."""
+    plan = planner.solve(planner.load_problem("quadruped"))
+    proof = planner.prove(plan, rollouts=0)
+    failing = {name: section(name) for name in ("refined_open_loop", "refined_feedback")}
+    errors = SimpleNamespace(ratio=lambda mode: None)
+    return plan, replace(proof, sections=proof.sections | failing, errors=errors)
+
+
+@pytest.mark.parametrize(("times", "stays"), [(0.5, ""), (20.0, "contacts make the replay "), (1e5, "")])
+def test_contacts_that_are_the_cause(rise, times, stays):
+    """An error of the replay that is far above that of the step; one that has fallen says nothing."""
+    plan, proof = rise
+    run = proof.replays["feedback"]
+    ankle = 8  # of a leg: an angle
+    off = times * step_error(plan) * ranges_of_motion(plan)[ankle]
+    error = np.zeros_like(run.error)
+    error[1:, ankle] = off
+    moved = SimpleNamespace(plan=run.plan, error=error)
+    other = refinement._other_cause(replace(proof, replays=proof.replays | {"feedback": moved}))
+    assert other.startswith(stays)
+    assert bool(other) is bool(stays)
 
 
 # Ends
