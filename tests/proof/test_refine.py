@@ -12,10 +12,10 @@ import planner
 from planner.base.measured import Measurement, Section
 from planner.problem.plan import Status
 from planner.problem.rediscretize import step_error
-from planner.proof.error_scales import ranges_of_motion
+from planner.proof.error_scales import SMOOTHED, ranges_of_motion
 from planner.proof.original_model import OVERLAPS_THAT_PUSH
 from planner.proof.repair import refinement
-from planner.proof.repair.refinement import Refinement, refine
+from planner.proof.repair.refinement import FALLEN, Refinement, refine
 from planner.solvers.work import WorkBudget, work_of_stage
 
 
@@ -195,19 +195,19 @@ def rise():
     return plan, replace(proof, sections=proof.sections | failing, errors=errors)
 
 
-@pytest.mark.parametrize(("times", "stays"), [(0.5, ""), (20.0, "contacts make the replay "), (1e5, "")])
-def test_contacts_that_are_the_cause(rise, times, stays):
+@pytest.mark.parametrize(("off", "of_contacts"), [("half the step's", False), ("20 of them", True), ("fallen", False)])
+def test_contacts_that_are_the_cause(rise, off, of_contacts):
     """An error of the replay that is far above that of the step; one that has fallen says nothing."""
     plan, proof = rise
-    run = proof.replays["feedback"]
-    ankle = 8  # of a leg: an angle
-    off = times * step_error(plan) * ranges_of_motion(plan)[ankle]
+    step = step_error(plan)
+    share = {"half the step's": 0.5 * step, "20 of them": 20.0 * step, "fallen": 1.1 * FALLEN * SMOOTHED}[off]
+    run, thigh = proof.replays["feedback"], 8  # an angle
     error = np.zeros_like(run.error)
-    error[1:, ankle] = off
+    error[1:, thigh] = share * ranges_of_motion(plan)[thigh]
     moved = SimpleNamespace(plan=run.plan, error=error)
     other = refinement._other_cause(replace(proof, replays=proof.replays | {"feedback": moved}))
-    assert other.startswith(stays)
-    assert bool(other) is bool(stays)
+    assert other.startswith("contacts make the replay 20 times worse" if of_contacts else "")
+    assert bool(other) is of_contacts
 
 
 # Ends
