@@ -24,7 +24,7 @@ from planner.problem.plan import Plan, Status
 from planner.problem.rediscretize import finer, step_error
 from planner.proof import Proof
 from planner.proof import prove as full_proof
-from planner.proof.error_propagation import FACTOR
+from planner.proof.error_propagation import FACTOR, SMALL
 from planner.proof.error_scales import SMOOTHED, has_contacts, is_path_judged, shares_of_bounds, worst_by_unit
 from planner.proof.original_model import OVERLAPS_THAT_PUSH
 from planner.proof.replays.replaying import reached_by_plan
@@ -250,7 +250,7 @@ def _other_cause(proof: Proof) -> str:
         return ""
     off = max(one.share for one in worst_by_unit(run.plan, run.error) if is_path_judged(run.plan, one.unit))
     ratio = SMOOTHED * off / step_error(run.plan)  # of ranges of motion
-    astray = off < FALLEN and ratio > FACTOR
+    astray = SMALL < off < FALLEN and ratio > FACTOR  # another plan may bring a smaller error within its bound
     return f"contacts make the replay {ratio:.3g} times worse than the step does (feedback)." if astray else ""
 
 
