@@ -10,7 +10,6 @@ from pathlib import Path
 
 import planner
 from planner.base.data_files import problem_files
-from planner.proof.replays.replaying import replay
 
 ROOT = Path(__file__).parents[2]
 CASES = ("hopper", "two_link", "acrobot", "puma", "high_dive", "human_step")  # the paper's first
@@ -18,8 +17,9 @@ SHOWN = 5  # poses
 SIZE = 1000, 220  # pixels
 HEAD = """# Gallery
 
-Each picture is the plan's replay in MuJoCo, at equal times; the verdict is that of `planner run`, before its perturbed
-simulations. `python docs/figures/gallery.py` makes this page again: it plans, proves and draws everything on it.
+Each picture is the replay in MuJoCo that the verdict judges, at equal times: with gains where it says PASS (feedback).
+The verdict is that of `planner run`, before its perturbed simulations. `python docs/figures/gallery.py` makes this page
+again: it plans, proves and draws everything on it.
 """
 
 
@@ -44,7 +44,7 @@ def entry(title: str, command: str, problem: planner.Problem, pictures: Path) ->
     proof = planner.prove(plan, rollouts=0)
     name = command.split("/")[-1].split()[-1].replace(".toml", "").replace("_", "-")
     name += "-chain" if "closed_chains" in command else ""
-    planner.render_strip(replay(plan), pictures / f"{name}.png", poses=SHOWN, width=SIZE[0], height=SIZE[1])
+    planner.render_strip(proof.replay, pictures / f"{name}.png", poses=SHOWN, width=SIZE[0], height=SIZE[1])
     print(title, proof.headline, flush=True)
     text = f"## {title.capitalize()}\n\n![{title}](figures/gallery/{name}.png)\n\n"
     return f"{text}`{command}`\n\n{proof.headline}. {plan.N} stages, {plan.nit} iterations.\n"
