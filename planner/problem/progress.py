@@ -88,14 +88,15 @@ class Iteration(NamedTuple):
     cost: float  # J of Eq. 9
     gradient_norm: float  # Euclidean norm of the gradient of J with respect to all controls (Eq. 19)
     step: float  # Step length (Eq. 36); 0 without a step (converged, or regularization was increased)
-    expected: float  # Expected reduction of the LQ model for that step length
+    expected: float  # Expected reduction of the LQ model for that step length; NaN of a step that closes defects
     actual: float  # Actual reduction
     regularization: float  # Added to the diagonal of R + B'PB
 
     def __str__(self) -> str:
+        expected = "-" if math.isnan(self.expected) else f"{self.expected:.2e}"
         row = (
             f"{self.iteration:5d}  {self.cost:15.8g}  {self.gradient_norm:9.2e}  {self.step:9.3g}  "
-            f"{self.expected:9.2e}  {self.actual:9.2e}  {self.regularization:9.2e}"
+            f"{expected:>9}  {self.actual:9.2e}  {self.regularization:9.2e}"
         )
         return row if self.iteration else f"{self.header()}\n{row}"
 
