@@ -205,7 +205,7 @@ def test_contacts_that_are_the_cause(rise, bounds, of_contacts):
     assert bounds * SMOOTHED > 10.0 * step_error(plan)
     moved = SimpleNamespace(plan=run.plan, error=error)
     other = refinement._other_cause(replace(proof, replays=proof.replays | {"feedback": moved}))
-    assert other.startswith("contacts make the replay " if of_contacts else "")
+    assert other.startswith("contacts put the replay " if of_contacts else "")
     assert bool(other) is of_contacts
 
 

@@ -249,9 +249,10 @@ def _other_cause(proof: Proof) -> str:
     if not has_contacts(run.plan):
         return ""
     off = max(one.share for one in worst_by_unit(run.plan, run.error) if is_path_judged(run.plan, one.unit))
-    ratio = SMOOTHED * off / step_error(run.plan)  # of ranges of motion
-    astray = SMALL < off < FALLEN and ratio > FACTOR  # another plan may bring a smaller error within its bound
-    return f"contacts make the replay {ratio:.3g} times worse than the step does (feedback)." if astray else ""
+    by_step = step_error(run.plan) / SMOOTHED  # in bounds of the path, as off
+    if SMALL < off < FALLEN and off > FACTOR * by_step:  # another plan may bring a smaller error within its bound
+        return f"contacts put the replay {off:.3g} bounds off its path, the step only {by_step:.2g} (feedback)."
+    return ""
 
 
 def _end_error(proof: Proof, mode: str) -> float:

@@ -19,7 +19,7 @@ from planner.model.coordinates import coordinates_of
 from planner.problem.plan import Plan
 from planner.proof import Proof
 from planner.proof.error_propagation import ErrorPropagation
-from planner.proof.error_scales import by_unit, has_contacts, path_error_bounds, ranges_of_motion
+from planner.proof.error_scales import by_unit, has_contacts, is_path_judged, path_error_bounds, ranges_of_motion
 from planner.proof.goal_regulator import RegulatedRun
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbed import RobustnessResult
@@ -205,23 +205,23 @@ def draw_path_errors(axes: Axes, run: Replay) -> None:
     words = MODE_WORDS["feedback" if run.feedback else "open-loop"]
     label = f"{SHARE}\n(dashed: not judged)" if jumps else SHARE
     dress(axes, f"Errors of the replay, {words}{how}", label, "time, s")
-    _draw_shares(axes, run.plan, run.t, run.error, jumps)
+    _draw_shares(axes, run.plan, run.t, run.error, of_path=True)
 
 
 def draw_hold(axes: Axes, held: RegulatedRun) -> None:
     """The deviations from the goal under a regulator."""
     dress(axes, "Deviations from the goal under its regulator", SHARE, "time, s")
-    _draw_shares(axes, held.plan, held.t, held.deviation, jumps=False)
+    _draw_shares(axes, held.plan, held.t, held.deviation, of_path=False)
 
 
-def _draw_shares(axes: Axes, plan: Plan, t: np.ndarray, errors: np.ndarray, jumps: bool) -> None:
-    """Errors (K, ndx) over their bounds by unit; velocities of a machine whose velocities jump are not judged."""
+def _draw_shares(axes: Axes, plan: Plan, t: np.ndarray, errors: np.ndarray, of_path: bool) -> None:
+    """Errors (K, ndx) over their bounds by unit; those of a path that are not judged are dashed."""
     every = slice(None, None, max(1, len(t) // _MAX_POINTS))
     assert plan.problem is not None  # it was proved
     shares, curves = np.abs(errors[every]) / path_error_bounds(plan), []
     for k, (_, unit, which, names) in enumerate(by_unit(plan.problem)):
         of_unit = np.where(np.isfinite(shares[:, which]), shares[:, which], np.inf)
-        judged = not (jumps and unit.endswith("/s"))
+        judged = not of_path or is_path_judged(plan, unit)
         name = names[int(np.argmax(of_unit.max(axis=0)))]
         words = f"{name}{f', {unit}' if unit else ''}"
         curves.append((positive(of_unit.max(axis=1)), judged, HUES[k % len(HUES)][1], words))
