@@ -22,7 +22,7 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.base.errors import PlannerError
-from planner.kernels.lq.line_search import ARMIJO_C1
+from planner.kernels.lq.line_search import ARMIJO, ARMIJO_C1
 from planner.model.space import space_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.costs.tracking import states as checked_states
@@ -30,7 +30,7 @@ from planner.problem.costs.tracking import tracking_of
 from planner.problem.initial_guess import interpolated_states
 from planner.problem.plan import Iteration
 from planner.problem.problem import Problem
-from planner.solvers.engine import DefectStep, Engine
+from planner.solvers.engine import DefectStep, Engine, acquire_engine, release_engine
 from planner.solvers.options import DEFAULT, SolverOptions
 from planner.solvers.step_control import Regularization
 
@@ -68,6 +68,22 @@ def line_to_the_end(problem: Problem) -> np.ndarray | None:
     if tracking is None or problem.constraints or problem.periodic is not None:
         return None
     return guessed_states(problem, "line") if np.all(np.diagonal(tracking.Q[-1]) > 0.0) else None
+
+
+def controls_along(problem: Problem, states: np.ndarray) -> np.ndarray:
+    """Controls (N, nu) of the first rollout that closes the defects of states (N+1, nx), without limits of states.
+
+    Where none does within max_defect_iterations, those of the better rollout of the problem's own controls and shares
+    of them.
+    """
+    engine = acquire_engine(problem, ARMIJO)
+    limit = DEFAULT.max_defect_iterations
+    _, _, interrupted = close_defects(problem, engine, False, states, problem.first_guess, limit, None)
+    if interrupted:
+        raise KeyboardInterrupt
+    controls = engine.trajectory()[1]
+    release_engine(problem, engine, ARMIJO)
+    return controls
 
 
 def close_defects(

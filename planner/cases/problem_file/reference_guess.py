@@ -7,8 +7,8 @@ tracking        gains of a regulator that tracks that line, for any other machin
 hold            the start held against gravity, as far as the actuators can
 zero            no control
 auto            collision-free where something is avoided and there is such a path, line where there is one, else
-                tracking where that ends nearer to the goal than hold does, else hold; of a gait the controls that a
-                few iterations of multiple shooting find along it
+                tracking where that ends nearer to the goal than hold does, else hold; of a gait the controls that
+                multiple shooting finds along it
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.initial_guess import interpolated_states, straight_line
 from planner.problem.problem import Problem
 from planner.problem.tasks.reference_motion import closed_chain_reference
+from planner.solvers.multiple_shooting import controls_along
 from planner.solvers.other_guesses import line_tracking_controls, tracking_controls
-from planner.solvers.slq import solve
 
-SHOTS = 6  # iterations along a gait: a rollout closes the defects after one to three, then the solver is as good
 STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way
 GUESSES = ("auto", "line", "collision-free", "tracking", "hold", "zero")
 
@@ -83,7 +82,7 @@ def first_guess(
     hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None
     if kind == "auto" and way is not None and way.walks:
-        found = solve(problem, states=way.states, max_iterations=SHOTS).us
+        found = controls_along(problem, way.states)
     elif kind != "hold":
         found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.states)
     if found is None and kind == "tracking":

@@ -35,6 +35,7 @@ from planner.problem.costs.frame import CLEARANCE
 from planner.problem.tasks.legs import (
     Foot,
     check_flight_time,
+    last_change,
     longest_step,
     over_support,
     points_of_feet,
@@ -51,7 +52,6 @@ TURNS = {
     "pace": (0.0, 0.5, 0.0, 0.5),
 }
 OVERLAP = 0.2  # of a slot, in which feet of two turns stand by default
-STILL = 1e-6  # m or rad and their rates: by which a motion at rest changes by rounding alone
 
 
 class Phase(NamedTuple):
@@ -110,7 +110,7 @@ class Gait:
                     end = min(phase.until, dt * (len(rows) - 1))
                     check_flight_time(mechanism, f"[[phase]] {k}", end - begin, ranges)
         else:
-            swings, said = self._swings_of_turns(mechanism, standing, feet, dt * _last_change(rows), h)
+            swings, said = self._swings_of_turns(mechanism, standing, feet, dt * last_change(rows), h)
         of_foot = np.repeat(np.arange(len(standing)), [len(foot.points) for foot in standing])
         places = stepping(dragged, normals[of_foot], [swings[k] for k in of_foot], lift, dt)
         q = rows[:, :nq]
@@ -118,7 +118,7 @@ class Gait:
             t = dt * np.arange(len(rows))
             swinging = [sum(((t > a) & (t < b) for a, b in own), np.zeros(len(t), dtype=bool)) for own in swings]
             stands = ~np.array(swinging).T
-            q = over_support(mechanism, q, places, stands[:, of_foot], normals[0])
+            q = over_support(mechanism, q, places, stands[:, of_foot], normals[0], dt)
         q = with_legs(mechanism, q, standing, places, ranges)
         xs = rows.copy()
         xs[:, :nq] = q
@@ -241,9 +241,3 @@ def _phase(table: Any, k: int, of: int) -> Phase:
         raise PlannerError(f"{where} has no `until`, expected the time of its end, s; only the last needs none.")
     until = number(f"until of {where}", table["until"], greater_than=0.0) if "until" in table else math.inf
     return Phase(until, tuple(stand))
-
-
-def _last_change(rows: np.ndarray) -> int:
-    """The knot at which a motion (N+1, nx) comes to rest; all of it where it does not move."""
-    changes = np.flatnonzero(np.abs(np.diff(rows, axis=0)).max(axis=1) > STILL)
-    return int(changes[-1]) + 1 if len(changes) else len(rows) - 1

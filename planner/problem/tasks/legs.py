@@ -41,8 +41,11 @@ from planner.problem.tasks.timed_task import Task
 NEWTON = 50  # iterations of the legs' inverse kinematics
 LONGEST_STEP = 0.3  # rad or m: beyond it a leg that is nearly stretched turns over
 REACHED = 5e-3  # m: of a foot from its place; a sole that turns on its way is bent by less
+JERK_WEIGHT = 1e-6  # s^6, of the centre of mass beside the zero-moment point (Kajita et al. 2003)
+LOWERINGS = 5  # of the base, each by what the legs then lack: of a leg that is nearly upright one or two suffice
 DAMPING = 1e-3  # m: of a singular leg, which is stretched
 RANGE_MARGIN = 1e-6  # rad or m: by which the search for a leg begins within its ranges
+STILL = 1e-6  # m or rad and their rates: by which a motion at rest changes by rounding alone
 GOAL_SCALE, FOOT_SCALE = 0.1, 1e-3  # m of residuals of 1: what the legs lack is left to the goal
 
 
@@ -73,6 +76,12 @@ def points_of_feet(mechanism: Mechanism, q: np.ndarray, feet: list[Foot]) -> tup
     return points_of(mechanism, q, links, np.vstack([foot.points for foot in feet]))
 
 
+def last_change(rows: np.ndarray) -> int:
+    """The knot at which a motion (N+1, ...) comes to rest; all of it where it does not move."""
+    changes = np.flatnonzero(np.abs(np.diff(rows, axis=0)).reshape(len(rows) - 1, -1).max(axis=1) > STILL)
+    return int(changes[-1]) + 1 if len(changes) else len(rows) - 1
+
+
 def stepping(
     dragged: np.ndarray, normals: np.ndarray, swings: list[list[tuple[float, float]]], lift: float, dt: float
 ) -> np.ndarray:  # fmt: skip
@@ -81,11 +90,12 @@ def stepping(
     Args:
         dragged: (N+1, F, 3) m.
         normals: (F, 3) of the ground, along which feet stay as high as at the start.
-        swings: Of each foot, s, when swings begin and end; inf for one that ends in the air.
+        swings: Of each foot, s, when swings begin and end; inf for one that ends in the air, where it waits from when
+            it is no longer dragged.
         lift: m.
         dt: s.
     """
-    t = dt * np.arange(len(dragged))
+    t, rest = dt * np.arange(len(dragged)), dt * last_change(dragged)
     places = np.tile(dragged[0], (len(t), 1, 1))
     for k, n in enumerate(normals):
         level = dragged[:, k] - np.outer((dragged[:, k] - dragged[0, k]) @ n, n)
@@ -94,24 +104,25 @@ def stepping(
         for (begin, end), then in zip(swings[k], following, strict=True):
             middle = min(0.5 * (end + then), t[-1])
             there = np.array([np.interp(middle, t, level[:, axis]) for axis in range(3)])
-            if end == math.inf:
-                there = dragged[-1, k]
+            lands = end < math.inf
+            if not lands:
+                there, end = dragged[-1, k], rest if rest > begin else t[-1]
             after = t > begin
             s = np.minimum((t[after] - begin) / (min(end, t[-1]) - begin), 1.0)
             places[after, k] = here + minimum_jerk(s)[0][:, None] * (there - here)
-            if end < math.inf:
+            if lands:
                 places[after, k] += lift * 64.0 * ((s * (1.0 - s)) ** 3)[:, None] * n
             here = there
     return places
 
 
 def over_support(
-    mechanism: Mechanism, q: np.ndarray, places: np.ndarray, stands: np.ndarray, n: np.ndarray
+    mechanism: Mechanism, q: np.ndarray, places: np.ndarray, stands: np.ndarray, n: np.ndarray, dt: float
 ) -> np.ndarray:  # fmt: skip
     """Configurations whose base is shifted along the ground such that the standing feet carry the machine.
 
-    Where some feet swing the centre of mass is above the middle of the others (quasi-static); before, between and after
-    it the shift changes smoothly.
+    Where some feet swing the zero-moment point is in the middle of the others; before, between and after it changes
+    smoothly, as far as a pendulum that begins and ends at rest lets it.
 
     Args:
         mechanism: The machine.
@@ -119,20 +130,58 @@ def over_support(
         places: (N+1, K, 3) m, of the feet's points.
         stands: (N+1, K) bool.
         n: (3,) the normal of the ground.
+        dt: s.
     """
-    whole = center_of_mass_jacobian(mechanism, q[0])  # of slides that move all of the machine it is their axis
-    base = np.flatnonzero((np.abs(np.linalg.norm(whole, axis=0) - 1.0) < 1e-9) & ~mechanism.directly_actuated)
-    if stands.all() or not base.size:
+    if stands.all():
         return q
     some = np.asarray(stands.any(axis=1) & ~stands.all(axis=1))
     weights = stands[some] / stands[some].sum(axis=1, keepdims=True)
+    centre = center_of_mass(mechanism, q)
     shift = np.zeros((len(q), 3))
-    shift[some] = np.einsum("nk,nka->na", weights, places[some]) - center_of_mass(mechanism, q[some])
+    shift[some] = np.einsum("nk,nka->na", weights, places[some]) - centre[some]
     for a, b in pairwise(sorted({0, len(q) - 1, *np.flatnonzero(some).tolist()})):
         share = minimum_jerk(np.linspace(0.0, 1.0, b - a + 1))[0][1:-1, None]
         shift[a + 1 : b] = shift[a] + share * (shift[b] - shift[a])
-    q, level = q.copy(), shift - np.outer(shift @ n, n)
-    q[:, mechanism.q_address[base]] += level @ np.linalg.pinv(whole[:, base]).T
+    h = float(np.mean((centre[:, None] - places) @ n))
+    shift = _pendulum(centre + shift, h / float(np.linalg.norm(mechanism.gravity)), dt) - centre
+    return _shifted(mechanism, q, shift - np.outer(shift @ n, n))
+
+
+def _pendulum(p: np.ndarray, stiff: float, dt: float) -> np.ndarray:
+    """The centre of mass c (N+1, 3) m of a linear inverted pendulum, at rest at both ends, for zero-moment points p.
+
+    It has the least sum of (c - h/g d2c/dt2 - p)^2 + JERK_WEIGHT (d3c/dt3)^2 (Kajita et al., "Biped walking pattern
+    generation by using preview control of zero-moment point", 2003), over all of the motion instead of a preview.
+
+    Args:
+        p: (N+1, 3) m.
+        stiff: h / g, s^2.
+        dt: s.
+    """
+    from scipy import sparse  # only where feet swing
+    from scipy.sparse.linalg import spsolve
+
+    N = len(p) - 1
+    if N < 6:  # two knots at each end are given
+        return p
+    second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(N - 1, N + 1)) / dt**2
+    third = sparse.diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(N - 2, N + 1)) / dt**3
+    moment = sparse.eye_array(N - 1, N + 1, k=1) - stiff * second
+    rows = sparse.vstack([moment, math.sqrt(JERK_WEIGHT) * third]).tocsc()
+    c = p.copy()
+    c[1], c[-2] = c[0], c[-1]
+    ends, inner = [0, 1, N - 1, N], rows[:, 2:-2]
+    wanted = np.vstack([p[1:-1], np.zeros((N - 2, 3))]) - rows[:, ends] @ c[ends]
+    c[2:-2] = spsolve((inner.T @ inner).tocsc(), inner.T @ wanted)
+    return c
+
+
+def _shifted(mechanism: Mechanism, q: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Configurations (N+1, nq) whose base is shifted by (N+1, 3) m; as they are where it is fixed."""
+    whole = center_of_mass_jacobian(mechanism, q[0])  # of slides that move all of the machine it is their axis
+    base = np.flatnonzero((np.abs(np.linalg.norm(whole, axis=0) - 1.0) < 1e-9) & ~mechanism.directly_actuated)
+    q = q.copy()
+    q[:, mechanism.q_address[base]] += shift @ np.linalg.pinv(whole[:, base]).T
     return q
 
 
@@ -146,35 +195,63 @@ def longest_step(places: np.ndarray) -> float:
 def with_legs(
     mechanism: Mechanism, q: np.ndarray, feet: list[Foot], places: np.ndarray, ranges: np.ndarray
 ) -> np.ndarray:  # fmt: skip
-    """Configurations (N+1, nq) with the feet's points at places (N+1, K, 3), m, by Newton steps of the legs from q."""
+    """Configurations (N+1, nq) with the feet's points at places (N+1, K, 3), m, by Newton steps of the legs from q.
+
+    Where legs are too short on the way, the base is lowered: smoothly from the start and back to the end.
+
+    Raises:
+        PlannerError: Legs with closed chains or couplings, or that reach their places from no lower base either.
+    """
     if mechanism.reduction is not None or mechanism.has_closed_chains:
         raise PlannerError("gait is for legs without closed chains and coupled joints, expected a [[goal]] without it.")
+    given, found, missing = q, *_bent(mechanism, q, feet, places, ranges)
+    away, drop = missing.max(), 0.0
+    if away > REACHED:
+        first, last = np.flatnonzero(missing.max(axis=1) > REACHED)[[0, -1]].tolist()
+        N = len(q) - 1
+        share = np.ones(N + 1)
+        share[:first] = minimum_jerk(np.linspace(0.0, 1.0, first + 1))[0][:-1]
+        share[last + 1 :] = minimum_jerk(np.linspace(0.0, 1.0, N - last + 1))[0][-2::-1]
+        for _ in range(LOWERINGS):
+            if away <= REACHED:
+                break
+            drop += away
+            lower = _shifted(mechanism, given, -drop * np.outer(share, feet[0].normal))
+            found, errors = _bent(mechanism, lower, feet, places, ranges)
+            away = errors.max()
+    if away > REACHED:
+        names, worst = [foot.name for foot in feet for _ in foot.points], int(missing.max(axis=0).argmax())
+        raise PlannerError(
+            f"the gait takes {names[worst]} {missing.max():.2g} m further than its leg reaches within its ranges: "
+            "expected a smaller stride or lift, a lower trunk, or a longer duration."
+        )
+    return found
+
+
+def _bent(
+    mechanism: Mechanism, q: np.ndarray, feet: list[Foot], places: np.ndarray, ranges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Configurations with the feet's points as close to their places as legs take them, and (N+1, K) m, how close."""
     legs = np.zeros(mechanism.nv, dtype=bool)
     for foot in feet:
         legs[chain_of(mechanism.parent, foot.link)] = True
     own = np.flatnonzero(legs & mechanism.directly_actuated)
-    at = mechanism.q_address[own]
-
-    def newton(q: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The configurations and the errors (N+1, K) m of their points."""
-        q, rows = q.copy(), 3 * places.shape[1]
-        for _ in range(NEWTON):
-            here, J = points_of_feet(mechanism, q, feet)
-            away = (places - here).reshape(len(q), rows)
-            if np.abs(away).max() < 0.002 * REACHED:
-                break
-            J = J.reshape(len(q), rows, mechanism.nv)[:, :, own]
-            damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(rows)
-            step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, away[:, :, None]))[:, :, 0]
-            q[:, at] = np.clip(q[:, at] + np.clip(step, -LONGEST_STEP, LONGEST_STEP), *ranges[own].T)
-        return q, np.linalg.norm(places - points_of_feet(mechanism, q, feet)[0], axis=2)
-
-    q, errors = newton(q, places)
+    at, rows, q = mechanism.q_address[own], 3 * places.shape[1], q.copy()
+    for _ in range(NEWTON):
+        here, J = points_of_feet(mechanism, q, feet)
+        away = (places - here).reshape(len(q), rows)
+        if np.abs(away).max() < 0.002 * REACHED:
+            break
+        J = J.reshape(len(q), rows, mechanism.nv)[:, :, own]
+        damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(rows)
+        step = (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, away[:, :, None]))[:, :, 0]
+        q[:, at] = np.clip(q[:, at] + np.clip(step, -LONGEST_STEP, LONGEST_STEP), *ranges[own].T)
+    errors = np.linalg.norm(places - points_of_feet(mechanism, q, feet)[0], axis=2)
     for k in np.flatnonzero(
         errors.max(axis=1) > REACHED
     ).tolist():  # a leg nearly stretched: again, from the knot before
 
-        def away(y: np.ndarray, k: int = k) -> tuple[np.ndarray, np.ndarray]:
+        def error(y: np.ndarray, k: int = k) -> tuple[np.ndarray, np.ndarray]:
             q[k, at] = y
             here, J = points_of_feet(mechanism, q[k : k + 1], feet)
             return (here[0] - places[k]).ravel(), J.reshape(-1, mechanism.nv)[:, own]
@@ -183,15 +260,9 @@ def with_legs(
 
         low, high = ranges[own].T
         begin = np.clip(q[max(k - 1, 0), at], low + RANGE_MARGIN, high - RANGE_MARGIN)
-        found = least_squares(lambda y: away(y)[0], begin, lambda y: away(y)[1], bounds=(low, high))  # pyright: ignore
-        errors[k] = np.linalg.norm(away(found.x)[0].reshape(-1, 3), axis=1)
-    if errors.max() > REACHED:
-        names, worst = [foot.name for foot in feet for _ in foot.points], int(errors.max(axis=0).argmax())
-        raise PlannerError(
-            f"the gait takes {names[worst]} {errors.max():.2g} m further than its leg reaches within its ranges: "
-            "expected a smaller stride or lift, a lower trunk, or a longer duration."
-        )
-    return q
+        found = least_squares(lambda y: error(y)[0], begin, lambda y: error(y)[1], bounds=(low, high))  # pyright: ignore
+        errors[k] = np.linalg.norm(error(found.x)[0].reshape(-1, 3), axis=1)
+    return q, errors
 
 
 def check_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: np.ndarray) -> None:
