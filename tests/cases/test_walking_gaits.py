@@ -106,7 +106,7 @@ def test_turns_of_feet_are_the_gait_of_that_name(straight):
     mechanism, rows, dt = straight
     feet = {f"{name}_shank": 0.5 * (name in ("front_right", "rear_left")) for name in FEET}
     ranges = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
-    named, listed = (gait_of(one).motion(mechanism, rows, dt, ranges)[0] for one in ("trot", {"feet": feet}))
+    named, listed = (gait_of(one).motion(mechanism, rows, dt, ranges, True)[0] for one in ("trot", {"feet": feet}))
     np.testing.assert_array_equal(named, listed)
 
 
@@ -163,7 +163,7 @@ def test_phases_say_who_stands_when(straight):
     given = phases((0.3, LEGS), (0.7, DIAGONAL), (None, LEGS))
     rows = rows.copy()
     rows[:, 0] = rows[0, 0] + 0.2 * (rows[:, 0] - rows[0, 0])  # 8 cm: what a leg reaches that stands all along
-    xs, said = gait_of(given).motion(mechanism, rows, dt, ranges)
+    xs, said = gait_of(given).motion(mechanism, rows, dt, ranges, True)
     assert said.startswith("Gait: 3 phases")
     places = feet_of(mechanism, xs)
     swings = places[:, :, 2] - places[0, :, 2] > 1e-4

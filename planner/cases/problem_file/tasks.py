@@ -155,7 +155,7 @@ def resolve_task(
     rows = reference_states(task, resting(poses, 1.0 - MOVING_SHARE) if stands else poses, x0)
     if steps is None:
         return ResolvedTask(task, poses, rows, apart, waypoints, stands=stands)
-    rows, said = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges)
+    rows, said = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges, _is_direct(task))
     return ResolvedTask(task, poses, rows, apart, waypoints, said, stands)
 
 

@@ -35,6 +35,7 @@ from planner.problem.costs.frame import CLEARANCE
 from planner.problem.tasks.legs import (
     Foot,
     check_flight_time,
+    evenly_paced,
     last_change,
     longest_step,
     over_support,
@@ -81,7 +82,9 @@ class Gait:
     lift: float | None = None
     phases: tuple[Phase, ...] = ()
 
-    def motion(self, mechanism: Mechanism, rows: np.ndarray, dt: float, ranges: np.ndarray) -> tuple[np.ndarray, str]:
+    def motion(
+        self, mechanism: Mechanism, rows: np.ndarray, dt: float, ranges: np.ndarray, direct: bool
+    ) -> tuple[np.ndarray, str]:
         """The states (N+1, nx) of the gait along a motion `rows` (N+1, nx), and a sentence about it.
 
         Args:
@@ -89,6 +92,7 @@ class Gait:
             rows: Begins and ends at rest, on the ground.
             dt: s.
             ranges: (nv, 2) rad or m, of hinges and slides.
+            direct: Whether the end of the motion alone is asked for, so that steps are as long as each other.
 
         Raises:
             PlannerError: The machine has other feet, or its legs do not reach their footholds.
@@ -112,13 +116,13 @@ class Gait:
         else:
             swings, said = self._swings_of_turns(mechanism, standing, feet, dt * last_change(rows), h)
         of_foot = np.repeat(np.arange(len(standing)), [len(foot.points) for foot in standing])
-        places = stepping(dragged, normals[of_foot], [swings[k] for k in of_foot], lift, dt)
+        t = dt * np.arange(len(rows))
+        when = evenly_paced(dragged, swings, dt) if direct else t
+        places = stepping(dragged, when, normals[of_foot], [swings[k] for k in of_foot], lift, dt)
         q = rows[:, :nq]
-        if self.phases:
-            t = dt * np.arange(len(rows))
-            swinging = [sum(((t > a) & (t < b) for a, b in own), np.zeros(len(t), dtype=bool)) for own in swings]
-            stands = ~np.array(swinging).T
-            q = over_support(mechanism, q, places, stands[:, of_foot], normals[0], dt)
+        swinging = [sum(((t > a) & (t < b) for a, b in own), np.zeros(len(t), dtype=bool)) for own in swings]
+        stands = ~np.array(swinging).T
+        q = over_support(mechanism, q, places, stands[:, of_foot], normals[0], dt)
         q = with_legs(mechanism, q, standing, places, ranges)
         xs = rows.copy()
         xs[:, :nq] = q

@@ -82,13 +82,34 @@ def last_change(rows: np.ndarray) -> int:
     return int(changes[-1]) + 1 if len(changes) else len(rows) - 1
 
 
+def evenly_paced(dragged: np.ndarray, swings: list[list[tuple[float, float]]], dt: float) -> np.ndarray:
+    """(N+1,) s, when feet that are dragged are where those that step in even strides have the machine at each knot.
+
+    The machine goes at one speed from when the first foot leaves the ground until the last one lands.
+
+    Args:
+        dragged: (N+1, F, 3) m.
+        swings: Of each foot, s, when swings begin and end; inf for one that ends in the air.
+        dt: s.
+    """
+    t = dt * np.arange(len(dragged))
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(dragged.mean(axis=1), axis=0), axis=1)))
+    times = [swing for foot in swings for swing in foot]
+    if way[-1] == 0.0 or not times:
+        return t
+    first, last = min(begin for begin, _ in times), min(max(end for _, end in times), t[-1])
+    return np.interp(way[-1] * np.clip((t - first) / (last - first), 0.0, 1.0), way, t)
+
+
 def stepping(
-    dragged: np.ndarray, normals: np.ndarray, swings: list[list[tuple[float, float]]], lift: float, dt: float
+    dragged: np.ndarray, when: np.ndarray, normals: np.ndarray, swings: list[list[tuple[float, float]]], lift: float,
+    dt: float,
 ) -> np.ndarray:  # fmt: skip
     """(N+1, F, 3) m, feet that stand and swing along where they are dragged.
 
     Args:
         dragged: (N+1, F, 3) m.
+        when: (N+1,) s, the time of the dragged motion at each knot.
         normals: (F, 3) of the ground, along which feet stay as high as at the start.
         swings: Of each foot, s, when swings begin and end; inf for one that ends in the air, where it waits from when
             it is no longer dragged.
@@ -102,7 +123,7 @@ def stepping(
         here = level[0]
         following = [*(begin for begin, _ in swings[k]), np.inf][1:]
         for (begin, end), then in zip(swings[k], following, strict=True):
-            middle = min(0.5 * (end + then), t[-1])
+            middle = np.interp(min(0.5 * (end + then), t[-1]), t, when)
             there = np.array([np.interp(middle, t, level[:, axis]) for axis in range(3)])
             lands = end < math.inf
             if not lands:
