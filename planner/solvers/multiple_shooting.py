@@ -114,7 +114,8 @@ def close_defects(
     J = partial(problem.penalized_cost, penalties)
     rollouts, limit = list[tuple[float, float]](), min(max_iterations, options.max_defect_iterations)
     interrupted = False
-    for share in [options.control_share**k for k in range(options.control_trials)] + [0.0]:
+    shares = [options.control_share**k for k in range(options.control_trials)] if us.any() else []
+    for share in [*shares, 0.0]:
         cost = engine.start_from_controls(problem.x0, share * us, exact)
         rollouts.append((cost if math.isfinite(cost) else math.inf, share))
         try:

@@ -6,13 +6,15 @@ have as many slots as feet have different turns; foot k leaves the ground in cyc
 
     t = T (c + turn_k + max(0, 1 / slots - (1 - duty))),    turn_k in 0 ... 1.
 
-It stands where the motion has it in the middle of its stance, so that the body passes over it symmetrically (Raibert,
-Legged Robots That Balance, 1986), at first where it stood at the start and at last where the motion ends. On its way it
-rises by lift 64 (s (1 - s))^3, at rest at both ends. By default a slot lasts sqrt(h / g), h the height of the centre of
-mass: in that time an inverted pendulum falls away by a factor e.
+It stands where the machine, at one speed from the first step to the last, is in the middle of its stance, so that the
+body passes over it symmetrically (Raibert, Legged Robots That Balance, 1986), at first where it stood at the start and
+at last where the motion ends. On its way it rises by lift 64 (s (1 - s))^3, at rest at both ends. By default a slot
+lasts sqrt(h / g), h the height of the centre of mass: in that time an inverted pendulum falls away by a factor e. On two
+feet it lasts twice as long, and SHIFT times that time pass before the first step and after the last one, in which the
+weight goes to one foot and back.
 
 Phases say the times of each swing in place of these rules. A foot that is still in the air at the end goes to where the
-motion has it. Feet that stand by phases carry the machine: its centre of mass is above their middle.
+motion has it. The zero-moment point is in the middle of the feet that stand (see over_support).
 
 Nothing enforces contacts. Weights of positions and velocities refer to this motion; the solver finds the forces, and
 when feet touch.
@@ -32,9 +34,9 @@ from planner.base.errors import PlannerError
 from planner.dynamics.kinematics import center_of_mass
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.frame import CLEARANCE
+from planner.problem.tasks.flight import check_flight_time
 from planner.problem.tasks.legs import (
     Foot,
-    check_flight_time,
     evenly_paced,
     last_change,
     longest_step,
@@ -45,13 +47,15 @@ from planner.problem.tasks.legs import (
     with_legs,
 )
 
-# Turns of the rear left, rear right, front left and front right foot; walk has the lateral sequence.
+# Turns of the rear left, rear right, front left and front right foot; walk has the lateral sequence, and on two feet
+# their first two.
 TURNS = {
     "trot": (0.5, 0.0, 0.0, 0.5),
     "walk": (0.0, 0.5, 0.25, 0.75),
     "bound": (0.5, 0.5, 0.0, 0.0),
     "pace": (0.0, 0.5, 0.0, 0.5),
 }
+SHIFT = 3.0  # times sqrt(h / g), before the first step on two feet: the weight then goes to one of them
 OVERLAP = 0.2  # of a slot, in which feet of two turns stand by default
 
 
@@ -114,7 +118,8 @@ class Gait:
                     end = min(phase.until, dt * (len(rows) - 1))
                     check_flight_time(mechanism, f"[[phase]] {k}", end - begin, ranges)
         else:
-            swings, said = self._swings_of_turns(mechanism, standing, feet, dt * last_change(rows), h)
+            times = dt * last_change(rows), dt * (len(rows) - 1)
+            swings, said = self._swings_of_turns(mechanism, standing, feet, times, h)
         of_foot = np.repeat(np.arange(len(standing)), [len(foot.points) for foot in standing])
         t = dt * np.arange(len(rows))
         when = evenly_paced(dragged, swings, dt) if direct else t
@@ -135,21 +140,37 @@ class Gait:
         return [0.0, *(phase.until for phase in self.phases[:-1])]
 
     def _swings_of_turns(
-        self, mechanism: Mechanism, standing: list[Foot], dragged: np.ndarray, moving: float, h: float
+        self, mechanism: Mechanism, standing: list[Foot], dragged: np.ndarray, times: tuple[float, float], h: float
     ) -> tuple[list[list[tuple[float, float]]], str]:
-        """Begin and end of each foot's swings, s, in `moving` s, by a centre of mass h m high; and words about them."""
+        """Begin and end of each foot's swings, s; and words about them.
+
+        Args:
+            mechanism: The machine.
+            standing: Its feet.
+            dragged: (N+1, F, 3) m, where the motion has them.
+            times: s, when it comes to rest, and its duration.
+            h: m, the height of the centre of mass.
+        """
         turns = self._turns(standing, dragged)
         slots = len(np.unique(turns))
         duty = 1.0 - (1.0 - OVERLAP) / slots if self.duty is None else self.duty
         lead = max(0.0, 1.0 / slots - (1.0 - duty))
         distance = float(np.linalg.norm(np.diff(dragged, axis=0), axis=2).sum(axis=0).max())
         g = float(np.linalg.norm(mechanism.gravity)) or 1.0
-        cycles = (
-            round(moving / (slots * math.sqrt(h / g))) if self.stride is None else math.ceil(distance / self.stride)
-        )
+        falling, (moving, duration), wait, slot = math.sqrt(h / g), times, 0.0, 1.0
+        if len(standing) == 2:
+            wait, slot = SHIFT * falling, 2.0
+            moving = duration - 2.0 * wait
+            if moving < slots * slot * falling:
+                raise PlannerError(
+                    f"duration is {duration:g} s, and the gait of this machine takes {slots * slot * falling:.2g} s a "
+                    f"cycle beside {wait:.2g} s before and after it, in which its weight goes to one foot and back: "
+                    f"expected at least {2.0 * wait + slots * slot * falling:.2g} s."
+                )
+        cycles = round(moving / (slots * slot * falling)) if self.stride is None else math.ceil(distance / self.stride)
         cycles = max(1, cycles)
         T = moving / (cycles - 1 + lead + float(turns.max()) + 1.0 - duty)
-        begins = T * (np.arange(cycles)[:, None] + lead + turns)  # (cycles, feet) s
+        begins = wait + T * (np.arange(cycles)[:, None] + lead + turns)  # (cycles, feet) s
         swings = [[(float(t), float(t + (1.0 - duty) * T)) for t in column] for column in begins.T]
         return swings, f"{cycles} cycles of {T:.3g} s, feet standing for {duty:.2g} of the time"
 
@@ -184,10 +205,12 @@ class Gait:
             if missing := [name for name in names if name not in self.feet]:
                 raise PlannerError(f"the gait has no turn of {missing[0]!r}, expected one for: {', '.join(names)}.")
             return np.array([self.feet[name] for name in names])
+        if len(standing) == 2 and self.kind == "walk":
+            return np.array(TURNS["walk"][:2])
         if len(standing) != 4:
             raise PlannerError(
-                f"gait is {self.kind!r}, for machines of four feet, and this one stands on {len(standing)} "
-                f"({', '.join(names)}): expected gait = {{ feet = {{ NAME = turn from 0 to 1, ... }} }}."
+                f"gait is {self.kind!r}, for machines of four feet (walk for two as well), and this one stands on "
+                f"{len(standing)} ({', '.join(names)}): expected gait = {{ feet = {{ NAME = turn from 0 to 1, ... }} }}."
             )
         # The longer side of the feet is the machine's; forwards is where it goes.
         at, up = dragged[0] - dragged[0].mean(axis=0), standing[0].normal

@@ -1,0 +1,150 @@
+"""Flight: goals in the air, and flights of a gait, that no legs push a machine to.
+
+Goals in flight are refused where gravity does not allow their time, or the legs' work their height. A machine that
+stands at the start, is to be a height c above all that its legs reach from the ground at t, and on the ground again at
+T, flies within 0 ... T; so whatever its legs can do
+
+    c <= g t (T - t) / 2,
+
+which a parabola from 0 to T has at t. It leaves the ground at v = c / s + g s / 2 or faster, s the shorter of t and
+sqrt(2 c / g), the time to its apex. From the last moment of rest on the actuators do at most the work of their largest
+forces over the whole ranges of their joints, and that is at least m v^2 / 2. Springs may have stored more:
+machines with some are not judged by work. Both are bounds: what is not refused may still be impossible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.contacts import contact_forces
+from planner.dynamics.inverse_kinematics import Target, inverse_kinematics
+from planner.dynamics.kinematics import frame_pose, jacobian
+from planner.dynamics.statics import STRIDE, clearance
+from planner.model.capabilities import stands_on_ground, unreached_dofs
+from planner.model.mechanism import Frame, Mechanism
+from planner.problem.example_task import strongest
+from planner.problem.tasks.poses import Poses, stage_targets
+from planner.problem.tasks.timed_task import Task
+
+GOAL_SCALE, FOOT_SCALE = 0.1, 1e-3  # m of residuals of 1: what the legs lack is left to the goal
+
+
+def check_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: np.ndarray) -> None:
+    """Refuse goals in flight that no motion of a standing machine meets.
+
+    Args:
+        task: Goals.
+        poses: Its poses, the start first.
+        dynamics: The machine.
+        ranges: (nv, 2) rad or m, of hinges and slides.
+
+    Raises:
+        PlannerError: A goal is higher than gravity lets the machine be at its time, or than its legs push it.
+    """
+    mechanism = dynamics.mechanism
+    if not np.any(mechanism.gravity) or not stands_on_ground(mechanism) or mechanism.has_closed_chains:
+        return
+    if not contact_forces(mechanism, poses.q[0], np.zeros(mechanism.nv)).forces.any():
+        return
+    gaps = [clearance(mechanism, q) for q in poses.q]  # it reads the positions alone
+    for k in np.flatnonzero(np.array(gaps) > STRIDE):
+        stage = int(poses.stages[k])
+        here = [one for one in task.goals if one.stage == stage]
+        targets = stage_targets(task, stage, here).targets
+        if not any(target.position is not None for target in targets):
+            continue
+        landing = next((int(s) for s, gap in zip(poses.stages[k:], gaps[k:], strict=True) if gap <= STRIDE), math.inf)
+        t, T = stage * dynamics.dt, landing * dynamics.dt
+        if _refusal(mechanism, gaps[k], t, T, ranges):  # lowered by its gap the pose stands: the legs lack less
+            c = min(gaps[k], _missing_height(mechanism, targets, poses.q[0], ranges))
+            if refusal := _refusal(mechanism, c, t, T, ranges):
+                raise PlannerError(f"{here[0].label} {refusal}")
+
+
+def _refusal(mechanism: Mechanism, c: float, t: float, T: float, ranges: np.ndarray) -> str:
+    """Why nothing is a height c, m, above what stands at t, and stands again at T, s; "" where it may be."""
+    g = float(np.linalg.norm(mechanism.gravity))
+    allowed = 0.5 * g * t * (T - t)
+    if c > allowed:
+        return (
+            f"is {c:.3g} m higher than the machine reaches from the ground, and gravity allows {allowed:.3g} m at "
+            f"{t:.3g} s of what stands again at {T:.3g} s: expected a lower goal, or to stand again after "
+            f"{math.sqrt(8.0 * c / g):.2g} s or more with the goal half-way."
+        )
+    if c <= 0.0:
+        return ""
+    rising = min(t, math.sqrt(2.0 * c / g))
+    needed = c / rising + 0.5 * g * rising
+    reached = _takeoff_speed(mechanism, ranges)
+    if reached >= needed:
+        return ""
+    return (
+        f"is a jump for which the machine leaves the ground at {needed:.3g} m/s, and the work of its actuators over "
+        f"the whole ranges of their joints gives {reached:.3g} m/s at most: expected a lower goal, of at most "
+        f"{0.5 * reached**2 / g:.2g} m above what it reaches from the ground, or stronger actuators."
+    )
+
+
+def check_flight_time(mechanism: Mechanism, label: str, seconds: float, ranges: np.ndarray) -> None:
+    """Refuse a flight of `seconds` that the legs cannot push: v = g T / 2, where it lands as high as it leaves.
+
+    Args:
+        mechanism: The machine.
+        label: Of the flight, for the message.
+        seconds: T, without a foot on the ground.
+        ranges: (nv, 2) rad or m, of hinges and slides.
+
+    Raises:
+        PlannerError: See above.
+    """
+    g = float(np.linalg.norm(mechanism.gravity))
+    needed, reached = 0.5 * g * seconds, _takeoff_speed(mechanism, ranges)
+    if needed > reached:
+        raise PlannerError(
+            f"{label} has no foot on the ground for {seconds:.3g} s, for which the machine leaves it at {needed:.3g} "
+            f"m/s, and the work of its actuators over the whole ranges of their joints gives {reached:.3g} m/s at "
+            f"most: expected a foot that stands, or at most {2.0 * reached / g:.2g} s."
+        )
+
+
+def _takeoff_speed(mechanism: Mechanism, ranges: np.ndarray) -> float:
+    """m/s, at most, by the actuators' work over ranges (nv, 2); inf with springs, which may have stored more."""
+    if np.any(mechanism.stiffness) or np.any(mechanism.ball_stiffness):
+        return math.inf
+    force, stroke = strongest(mechanism), np.diff(ranges, axis=1)[:, 0]
+    pushing = mechanism.directly_actuated & (force > 0.0)
+    return math.sqrt(2.0 * float(force[pushing] @ stroke[pushing]) / float(mechanism.mass.sum()))
+
+
+def _missing_height(mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, ranges: np.ndarray) -> float:
+    """What legs lack to targets, m, with the best one of the feet that stand at q (nq,) on the ground."""
+    depths = contact_forces(mechanism, q, np.zeros(mechanism.nv)).depths
+    lowest = {mechanism.contacts[k].link: int(k) for k in np.argsort(depths) if depths[k] > 0.0}
+    return min(_missing_with(mechanism, targets, q, k, ranges) for k in lowest.values())
+
+
+def _missing_with(
+    mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, which: int, ranges: np.ndarray
+) -> float:  # fmt: skip
+    """Distance of the targets from the nearest pose with a contact as high as at q (nq,), m."""
+    contact = mechanism.contacts[which]
+    foot, n = Frame.at(contact.link, contact.centre), np.array(contact.plane.normal)
+    level = float(n @ frame_pose(mechanism, q, foot)[:3, 3])
+    scaled = [one._replace(metre_scale=GOAL_SCALE) for one in targets]
+
+    def on_ground(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        away = n @ frame_pose(mechanism, at, foot)[:3, 3] - level
+        return np.array([away / FOOT_SCALE]), (n @ jacobian(mechanism, at, foot)[:3])[None] / FOOT_SCALE
+
+    reached = ~unreached_dofs(mechanism)
+    found = inverse_kinematics(mechanism, scaled, q, ranges=ranges, free=reached, starts=1, missing=on_ground).q
+    away = [
+        float(np.linalg.norm(frame_pose(mechanism, found, one.frame)[:3, 3] - one.position))
+        for one in targets if one.position is not None
+    ]  # fmt: skip
+    return max(away)
