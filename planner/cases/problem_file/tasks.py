@@ -32,9 +32,9 @@ from planner.problem.default_weights import (
 from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
+from planner.problem.tasks.flight import check_flight
 from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, with_points
-from planner.problem.tasks.flight import check_flight
 from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of
 from planner.problem.tasks.reference_motion import (

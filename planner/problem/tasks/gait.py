@@ -9,9 +9,9 @@ have as many slots as feet have different turns; foot k leaves the ground in cyc
 It stands where the machine, at one speed from the first step to the last, is in the middle of its stance, so that the
 body passes over it symmetrically (Raibert, Legged Robots That Balance, 1986), at first where it stood at the start and
 at last where the motion ends. On its way it rises by lift 64 (s (1 - s))^3, at rest at both ends. By default a slot
-lasts sqrt(h / g), h the height of the centre of mass: in that time an inverted pendulum falls away by a factor e. On two
-feet it lasts twice as long, and SHIFT times that time pass before the first step and after the last one, in which the
-weight goes to one foot and back.
+lasts sqrt(h / g), h the height of the centre of mass: in that time an inverted pendulum falls away by a factor e. On
+two feet it lasts twice as long, and SHIFT times that time pass before the first step and after the last one, in which
+the weight goes to one foot and back.
 
 Phases say the times of each swing in place of these rules. A foot that is still in the air at the end goes to where the
 motion has it. The zero-moment point is in the middle of the feet that stand (see over_support).
@@ -209,8 +209,8 @@ class Gait:
             return np.array(TURNS["walk"][:2])
         if len(standing) != 4:
             raise PlannerError(
-                f"gait is {self.kind!r}, for machines of four feet (walk for two as well), and this one stands on "
-                f"{len(standing)} ({', '.join(names)}): expected gait = {{ feet = {{ NAME = turn from 0 to 1, ... }} }}."
+                f"gait is {self.kind!r}, for machines of four feet, walk for two too, and this one stands on "
+                f"{len(standing)} ({', '.join(names)}): expected gait = {{ feet = {{ NAME = 0.0, ... }} }}, turns to 1."
             )
         # The longer side of the feet is the machine's; forwards is where it goes.
         at, up = dragged[0] - dragged[0].mean(axis=0), standing[0].normal
