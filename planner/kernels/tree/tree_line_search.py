@@ -2,13 +2,36 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from planner.kernels.algebra.rotations import difference
 from planner.kernels.integrators import RUNGE_KUTTA
-from planner.kernels.lq.line_search import batches, choose, first_step_lengths, refine
+from planner.kernels.lq.line_search import (
+    EVALUATE_ONLY,
+    INITIAL_ROLLOUT,
+    WOLFE,
+    batches,
+    choose,
+    first_step_lengths,
+    refine,
+)
 from planner.kernels.lq.quadratic import control_terms, penalties_of, state_terms
 from planner.kernels.lq.workspace import ALPHA, BRACKET, COSTS, GIVEN, SLOPES, W, accept, take_lane
 from planner.kernels.numba.jit import inline, jit, part
-from planner.kernels.numba.lanes import at, floats, integers, lanes, load, maximum, minimum, pointer, spread, store
+from planner.kernels.numba.lanes import (
+    any_less,
+    at,
+    floats,
+    integers,
+    lanes,
+    load,
+    maximum,
+    minimum,
+    pointer,
+    select,
+    spread,
+    store,
+)
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.residuals.evaluate import residual_cost
@@ -159,8 +182,12 @@ def _append_accelerations(m, x, x_next, dt):
 
 
 @part
-def rollout(w, m, r, search, dt, feedback, external, p, solids):
+def rollout(w, m, r, search, dt, limit, feedback, external, p, solids):
     """Four step lengths at once: states trial_x, controls trial_u, accelerations trial_a and costs.
+
+    No term of the cost is negative, so a candidate whose sum is not below the limit is lost: it costs infinity, and
+    goes on in the nominal states, where a machine that has fallen does not keep the others waiting. The rollout ends
+    where all are lost.
 
     p is the table of residuals or, where there are none, None: then nothing of them is compiled.
     """
@@ -190,6 +217,14 @@ def rollout(w, m, r, search, dt, feedback, external, p, solids):
         if p is not None:  # but for Runge-Kutta the stage has left the links where X has them
             J += residual_cost(m, pointer(p), X, lanes(r, MEMORY.links), n, r[MEMORY.integrator] != RUNGE_KUTTA, solids)
         J += control
+        if limit < np.inf:
+            J = select(J, limit, J, np.inf)
+            if not any_less(J, limit):
+                store(search, COSTS, J)
+                return
+            X, nominal = at(X_, (n + 1) * nx), at(xs, (n + 1) * nx)
+            for i in range(nx):
+                store(X, i, select(J, limit, load(X, i), load(nominal, i)))
     J += _state_cost(w, at(X_, w[W.N] * nx), w[W.N], e)
     if p is not None:
         J += residual_cost(m, pointer(p), at(X_, w[W.N] * nx), lanes(r, MEMORY.links), w[W.N], False, solids)
@@ -213,9 +248,10 @@ def search_step(w, m, r, search, rule, feedback, external, p, solids):
     w, m, r = pointer(w), pointer(m), pointer(r)
     alpha, costs, slopes, bracket = search[ALPHA], search[COSTS], search[SLOPES], search[BRACKET]
     cost, slope, dt = search[GIVEN, 0], search[GIVEN, 1], search[GIVEN, 2]
+    limit = np.inf if rule in (INITIAL_ROLLOUT, EVALUATE_ONLY, WOLFE) else cost + max(slope, 0.0)
     first_step_lengths(rule, alpha, bracket)
     for _ in range(batches(rule)):
-        rollout(w, m, r, pointer(search), dt, feedback, external, p, solids)
+        rollout(w, m, r, pointer(search), dt, limit, feedback, external, p, solids)
         lane = choose(rule, alpha, costs, slopes, cost, slope, bracket)
         if lane >= 0:
             _take(w, m, r, lane)
