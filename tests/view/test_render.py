@@ -4,6 +4,7 @@ import os
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 
 import imageio_ffmpeg
 import numpy as np
@@ -234,6 +235,19 @@ def test_force_arrow_only_in_contact():
     red, green, blue = with_force[0][arrow].mean(axis=0)
     assert red > 2 * max(green, blue)
     assert changed(with_force[1], without[1]) == 0  # in the air
+
+
+@pytest.mark.render
+def test_films_with_other_numbers_of_contacts_are_drawn_beside_each_other():
+    """A machine that falls touches the ground with more of its shapes than one that walks."""
+    film = Film.of(make_replay(force=400.0), np.array([0.0, 0.1]))
+    walking, fallen = (
+        replace(film, forces=np.repeat(film.forces, n, axis=1), points=np.repeat(film.points, n, axis=1))
+        for n in (2, 3)
+    )
+    with Scene(walking, 160, 90) as one, Scene(fallen, 160, 90) as other:
+        walks = one.draw(0)
+        assert changed(other.draw(0, like=one), walks) == 0  # the same arrow, two or three times
 
 
 @pytest.mark.render

@@ -326,7 +326,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     if way is None and steps is not None:
         ranges = (limits or Limits(position="off")).position_ranges(dynamics)
         straight = straight_reference(dynamics, x0, goal, N)
-        rows, reasons["gait"] = steps.motion(mechanism, straight, dynamics.dt, ranges, direct=True)
+        rows, reasons["gait"] = steps.motion(mechanism, straight, dynamics.dt, ranges)
         along = ReferenceTrajectory(None, rows, direct=True, walks=True)
     elif way is not None and way.gait:
         reasons["gait"] = way.gait

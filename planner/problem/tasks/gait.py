@@ -87,7 +87,7 @@ class Gait:
     phases: tuple[Phase, ...] = ()
 
     def motion(
-        self, mechanism: Mechanism, rows: np.ndarray, dt: float, ranges: np.ndarray, direct: bool
+        self, mechanism: Mechanism, rows: np.ndarray, dt: float, ranges: np.ndarray, direct: bool = True
     ) -> tuple[np.ndarray, str]:
         """The states (N+1, nx) of the gait along a motion `rows` (N+1, nx), and a sentence about it.
 
