@@ -193,7 +193,7 @@ def test_a_gait_that_cannot_be_meant_is_refused(tmp_path, gait, message):
         loaded(tmp_path, far + f"gait = {gait}\n")
 
 
-BIPED = ROOT / "benchmarks" / "moving" / "biped.xml"
+BIPED = ROOT / "examples" / "tasks" / "biped.xml"
 BENT = ", ".join(f"{side}_pitch = -0.3, {side}_knee = 0.6, {side}_ankle = -0.3" for side in ("left", "right"))
 STROLL = f'''model = "{BIPED}"
 start = {{ {BENT} }}

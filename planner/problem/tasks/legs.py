@@ -73,12 +73,12 @@ def evenly_paced(dragged: np.ndarray, swings: list[list[tuple[float, float]]], d
         dt: s.
     """
     t = dt * np.arange(len(dragged))
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(dragged.mean(axis=1), axis=0), axis=1)))
+    traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(dragged.mean(axis=1), axis=0), axis=1)))
     times = [swing for foot in swings for swing in foot]
-    if way[-1] == 0.0 or not times:
+    if traveled[-1] == 0.0 or not times:
         return t
     first, last = min(begin for begin, _ in times), min(max(end for _, end in times), t[-1])
-    return np.interp(way[-1] * np.clip((t - first) / (last - first), 0.0, 1.0), way, t)
+    return np.interp(traveled[-1] * np.clip((t - first) / (last - first), 0.0, 1.0), traveled, t)
 
 
 def stepping(
