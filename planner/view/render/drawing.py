@@ -38,6 +38,7 @@ from planner.view.render.scene import Scene, best_rows
 _VIDEO_OVERSIZE = 1.25  # pixels drawn over pixels written, each way: a third of the time of 2, which looks the same
 _LEGIBLE = 0.8  # of the words under a pose in a strip of 540 rows: 14 pixels, which a page may show smaller
 _MAX_CHILDREN = 8  # more would wait for the process that encodes
+_NARROW_READOUTS = 4  # numbers in the table of a picture beside another
 _NICE = 5  # lower priority of a child, so that rollouts with a time limit come first
 _WORTH_A_CHILD = 24  # frames: a child needs a second or two before its first
 _DRAWING = "planner.view.render.drawing"
@@ -96,6 +97,8 @@ def _draw_row(row: Sequence[_Tile], frame: int, *, alike: bool) -> np.ndarray:
 
 def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Tile]]:
     """The parts of a picture, row by row; `scenes` closes their OpenGL contexts."""
+    if len(films) > 1:  # side by side: a longer table would cover a machine that stands
+        films = [_with_readouts(film, _NARROW_READOUTS) for film in films]
     views = [film.views for film in films]  # by film and camera
     if len(films) > 1:
         views = [list(row) for row in zip(*views, strict=True)]
@@ -123,6 +126,12 @@ def _tiles(films: Sequence[Film], job: Job, scenes: ExitStack) -> list[list[_Til
             written = None if job.transparent else overlay.Overlay(film.appearance, widths[j], heights[i], words)
             tiles[-1].append(_Tile(film, written, scenes.enter_context(scene)))
     return tiles
+
+
+def _with_readouts(film: Film, count: int) -> Film:
+    """The film with the first numbers of its table."""
+    appearance = replace(film.appearance, readouts=film.appearance.readouts[:count])
+    return replace(film, appearance=appearance, readings=film.readings[:, :count], largest=film.largest[:count])
 
 
 def _parted(picture: np.ndarray, rows: Sequence[Sequence[_Tile]]) -> np.ndarray:
