@@ -70,15 +70,14 @@ def line_to_the_end(problem: Problem) -> np.ndarray | None:
     return guessed_states(problem, "line") if np.all(np.diagonal(tracking.Q[-1]) > 0.0) else None
 
 
-def controls_along(problem: Problem, states: np.ndarray) -> np.ndarray:
-    """Controls (N, nu) of the first rollout that closes the defects of states (N+1, nx), without limits of states.
+def controls_along(problem: Problem, states: np.ndarray, max_iterations: int) -> np.ndarray:
+    """Controls (N, nu) of the first rollout that closes the defects of states (N+1, nx), without their limits.
 
-    Where none does within max_defect_iterations, those of the better rollout of the problem's own controls and shares
-    of them.
+    Where none does, those of the better rollout of the problem's own controls, zero where it has none, and shares of
+    them.
     """
     engine = acquire_engine(problem, ARMIJO)
-    limit = DEFAULT.max_defect_iterations
-    _, _, interrupted = close_defects(problem, engine, False, states, problem.first_guess, limit, None)
+    _, _, interrupted = close_defects(problem, engine, False, states, problem.first_guess, max_iterations, None)
     if interrupted:
         raise KeyboardInterrupt
     controls = engine.trajectory()[1]

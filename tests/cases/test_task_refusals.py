@@ -1,6 +1,5 @@
 """Goals and paths that cannot be meant: one sentence each, with what to write instead."""
 
-
 import pytest
 from arms import hand, refuse, write
 from commands import refused, run

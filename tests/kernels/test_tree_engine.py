@@ -251,20 +251,21 @@ def test_a_candidate_that_runs_away_is_not_taken():
     assert_consistent(task, plan)
 
 
-def test_candidates_that_are_given_up_do_not_change_the_step():
+@pytest.mark.parametrize("rule", [line_search.ARMIJO, line_search.EXACT, line_search.GOLDSTEIN])
+def test_candidates_that_are_given_up_do_not_change_the_step(rule):
     """A rollout ends where no candidate can win any more; the NumPy engine rolls each of them out to the end."""
     task = example("body in space", "rk4", N=60)
     ours, twin = CompiledEngine(task, task.dynamics, task.cost), NumpyEngine(task)
     costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
     steps = []
     for _ in range(6):
-        a = ours.iterate(True, line_search.ARMIJO, 0.0, True, costs[0], 0.0, -1.0)
-        b = twin.iterate(True, line_search.ARMIJO, 0.0, True, costs[1], 0.0, -1.0)
+        a = ours.iterate(True, rule, 0.0, True, costs[0], 0.0, -1.0)
+        b = twin.iterate(True, rule, 0.0, True, costs[1], 0.0, -1.0)
         assert a.step == b.step
         assert a.cost == pytest.approx(b.cost, rel=1e-7)
         steps.append(a.step)
         costs = [a.cost, b.cost]
-    assert min(steps) < 2.0 ** -(WIDTH - 1)  # all candidates of a first batch were given up
+    assert 0.0 < min(steps) < 2.0 ** -(WIDTH - 1)  # all candidates of a first batch were given up
 
 
 def test_sweeps_say_when_nothing_is_definite():

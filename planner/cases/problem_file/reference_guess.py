@@ -29,6 +29,7 @@ from planner.problem.tasks.reference_motion import closed_chain_reference
 from planner.solvers.multiple_shooting import controls_along
 from planner.solvers.other_guesses import line_tracking_controls, tracking_controls
 
+SHOTS = 30  # iterations along a gait: of 18 joints a step takes 5, and a walk of five steps 15
 STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way
 GUESSES = ("auto", "line", "collision-free", "tracking", "hold", "zero")
 
@@ -82,7 +83,7 @@ def first_guess(
     hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None
     if kind == "auto" and way is not None and way.walks:
-        found = controls_along(problem, way.states)
+        found = controls_along(problem, way.states, SHOTS)
     elif kind != "hold":
         found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.states)
     if found is None and kind == "tracking":

@@ -185,9 +185,9 @@ def _append_accelerations(m, x, x_next, dt):
 def rollout(w, m, r, search, dt, limit, feedback, external, p, solids):
     """Four step lengths at once: states trial_x, controls trial_u, accelerations trial_a and costs.
 
-    No term of the cost is negative, so a candidate whose sum is not below the limit is lost: it costs infinity, and
-    goes on in the nominal states, where a machine that has fallen does not keep the others waiting. The rollout ends
-    where all are lost.
+    No term of the cost is negative by more than rounding, so a candidate whose sum is not below the limit is lost: it
+    costs infinity, and goes on in the nominal states, where a machine that has fallen does not keep the others waiting.
+    The rollout ends where all are lost.
 
     p is the table of residuals or, where there are none, None: then nothing of them is compiled.
     """
@@ -248,7 +248,7 @@ def search_step(w, m, r, search, rule, feedback, external, p, solids):
     w, m, r = pointer(w), pointer(m), pointer(r)
     alpha, costs, slopes, bracket = search[ALPHA], search[COSTS], search[SLOPES], search[BRACKET]
     cost, slope, dt = search[GIVEN, 0], search[GIVEN, 1], search[GIVEN, 2]
-    limit = np.inf if rule in (INITIAL_ROLLOUT, EVALUATE_ONLY, WOLFE) else cost + max(slope, 0.0)
+    limit = np.inf if rule in (INITIAL_ROLLOUT, EVALUATE_ONLY, WOLFE) else cost
     first_step_lengths(rule, alpha, bracket)
     for _ in range(batches(rule)):
         rollout(w, m, r, pointer(search), dt, limit, feedback, external, p, solids)

@@ -1,17 +1,17 @@
 """Gait: which feet swing when, by name or by phases, and the motion of a machine that steps so, as a reference.
 
-The machine follows `rows`, a motion of the whole of it in which the feet are dragged; its legs are bent so that its
-feet step instead. In each of n cycles of T seconds a foot stands for the share `duty` and swings for the rest. Cycles
-have as many slots as feet have different turns; foot k leaves the ground in cycle c at
+`rows` is a motion of the whole machine in which the feet are dragged; its legs are bent so that its feet step instead,
+and it goes along the ground as feet can carry it. In each of n cycles of T seconds a foot stands for the share `duty`
+and swings for the rest. Cycles have as many slots as feet have different turns; foot k leaves the ground in cycle c at
 
     t = T (c + turn_k + max(0, 1 / slots - (1 - duty))),    turn_k in 0 ... 1.
 
 It stands where the machine, at one speed from the first step to the last, is in the middle of its stance, so that the
 body passes over it symmetrically (Raibert, Legged Robots That Balance, 1986), at first where it stood at the start and
 at last where the motion ends. On its way it rises by lift 64 (s (1 - s))^3, at rest at both ends. By default a slot
-lasts sqrt(h / g), h the height of the centre of mass: in that time an inverted pendulum falls away by a factor e. On
-two feet it lasts twice as long, and SHIFT times that time pass before the first step and after the last one, in which
-the weight goes to one foot and back.
+lasts sqrt(h / g), h the height of the centre of mass: in that time an inverted pendulum falls away by a factor e. That
+of a walk on two feet lasts twice as long, and SHIFT times that time pass before the first step and after the last one,
+in which the weight goes to one foot and back.
 
 Phases say the times of each swing in place of these rules. A foot that is still in the air at the end goes to where the
 motion has it. The zero-moment point is in the middle of the feet that stand (see over_support).
@@ -121,13 +121,13 @@ class Gait:
             times = dt * last_change(rows), dt * (len(rows) - 1)
             swings, said = self._swings_of_turns(mechanism, standing, feet, times, h)
         of_foot = np.repeat(np.arange(len(standing)), [len(foot.points) for foot in standing])
-        t = dt * np.arange(len(rows))
-        when = evenly_paced(dragged, swings, dt) if direct else t
-        places = stepping(dragged, when, normals[of_foot], [swings[k] for k in of_foot], lift, dt)
-        q = rows[:, :nq]
+        t, of_points = dt * np.arange(len(rows)), [swings[k] for k in of_foot]
         swinging = [sum(((t > a) & (t < b) for a, b in own), np.zeros(len(t), dtype=bool)) for own in swings]
         stands = ~np.array(swinging).T
-        q = over_support(mechanism, q, places, stands[:, of_foot], normals[0], dt)
+        carried = bool(np.any(stands.any(axis=1) & ~stands.all(axis=1)))
+        when = evenly_paced(dragged, normals[of_foot], of_points, dt) if direct and carried else t
+        places = stepping(dragged, when, normals[of_foot], of_points, lift, dt)
+        q = over_support(mechanism, rows[:, :nq], places, stands[:, of_foot], normals[0], dt)
         q = with_legs(mechanism, q, standing, places, ranges)
         xs = rows.copy()
         xs[:, :nq] = q
@@ -158,14 +158,13 @@ class Gait:
         distance = float(np.linalg.norm(np.diff(dragged, axis=0), axis=2).sum(axis=0).max())
         g = float(np.linalg.norm(mechanism.gravity)) or 1.0
         falling, (moving, duration), wait, slot = math.sqrt(h / g), times, 0.0, 1.0
-        if len(standing) == 2:
+        if len(standing) == 2 and self.kind == "walk":
             wait, slot = SHIFT * falling, 2.0
-            moving = duration - 2.0 * wait
-            if moving < slots * slot * falling:
+            moving, cycle = duration - 2.0 * wait, 0.0 if self.stride else slots * slot * falling
+            if moving <= cycle:
                 raise PlannerError(
-                    f"duration is {duration:g} s, and the gait of this machine takes {slots * slot * falling:.2g} s a "
-                    f"cycle beside {wait:.2g} s before and after it, in which its weight goes to one foot and back: "
-                    f"expected at least {2.0 * wait + slots * slot * falling:.2g} s."
+                    f"duration is {duration:g} s, and a walk on two feet takes {wait:.2g} s before and after it, in "
+                    f"which the weight goes to one foot and back: expected more than {2.0 * wait + cycle:.2g} s."
                 )
         cycles = round(moving / (slots * slot * falling)) if self.stride is None else math.ceil(distance / self.stride)
         cycles = max(1, cycles)

@@ -1,6 +1,6 @@
 """Legs: where feet stand and swing along a motion.
 
-Feet that stand stay, those that swing move along a smooth curve to where the motion has them. The base is shifted such
+Feet that stand stay, those that swing move along a smooth curve to their next place. The base is shifted such
 that those that stand carry the machine, and lowered where legs are too short; inverse kinematics bends the legs.
 """
 
@@ -62,22 +62,28 @@ def last_change(rows: np.ndarray) -> int:
     return int(changes[-1]) + 1 if len(changes) else len(rows) - 1
 
 
-def evenly_paced(dragged: np.ndarray, swings: list[list[tuple[float, float]]], dt: float) -> np.ndarray:
+def evenly_paced(
+    dragged: np.ndarray, normals: np.ndarray, swings: list[list[tuple[float, float]]], dt: float
+) -> np.ndarray:
     """(N+1,) s, when feet that are dragged are where those that step in even strides have the machine at each knot.
 
     The machine goes at one speed from when the first foot leaves the ground until the last one lands.
 
     Args:
         dragged: (N+1, F, 3) m.
+        normals: (F, 3) of the ground.
         swings: Of each foot, s, when swings begin and end; inf for one that ends in the air.
         dt: s.
     """
-    t = dt * np.arange(len(dragged))
-    traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(dragged.mean(axis=1), axis=0), axis=1)))
+    t, moves = dt * np.arange(len(dragged)), np.diff(dragged, axis=0)
+    level = moves - np.einsum("nfa,fa,fb->nfb", moves, normals, normals)
+    traveled = np.append(0.0, np.cumsum(np.linalg.norm(level, axis=2).mean(axis=1)))
     times = [swing for foot in swings for swing in foot]
-    if traveled[-1] == 0.0 or not times:
+    if traveled[-1] < STILL or not times:
         return t
     first, last = min(begin for begin, _ in times), min(max(end for _, end in times), t[-1])
+    if last <= first:
+        return t
     return np.interp(traveled[-1] * np.clip((t - first) / (last - first), 0.0, 1.0), traveled, t)
 
 
@@ -123,7 +129,7 @@ def over_support(
     """Configurations whose base is shifted along the ground such that the standing feet carry the machine.
 
     Where some feet swing the zero-moment point is in the middle of the others; before, between and after it changes
-    smoothly, as far as a pendulum that begins and ends at rest lets it.
+    smoothly, as far as a pendulum that begins and ends at rest lets it. Where all swing at once nothing carries it.
 
     Args:
         mechanism: The machine.
@@ -133,18 +139,19 @@ def over_support(
         n: (3,) the normal of the ground.
         dt: s.
     """
-    if stands.all():
+    some, g = np.asarray(stands.any(axis=1) & ~stands.all(axis=1)), mechanism.gravity
+    if not some.any() or not g @ n:
         return q
-    some = np.asarray(stands.any(axis=1) & ~stands.all(axis=1))
     weights = stands[some] / stands[some].sum(axis=1, keepdims=True)
     centre = center_of_mass(mechanism, q)
     shift = np.zeros((len(q), 3))
     shift[some] = np.einsum("nk,nka->na", weights, places[some]) - centre[some]
+    shift -= np.outer(shift @ n / (g @ n), g)  # along the ground, to what is above the point
     for a, b in pairwise(sorted({0, len(q) - 1, *np.flatnonzero(some).tolist()})):
         share = minimum_jerk(np.linspace(0.0, 1.0, b - a + 1))[0][1:-1, None]
         shift[a + 1 : b] = shift[a] + share * (shift[b] - shift[a])
     h = float(np.mean((centre[:, None] - places) @ n))
-    shift = _pendulum(centre + shift, h / float(np.linalg.norm(mechanism.gravity)), dt) - centre
+    shift = _pendulum(centre + shift, h / abs(float(g @ n)), dt) - centre
     return _shifted(mechanism, q, shift - np.outer(shift @ n, n))
 
 
@@ -205,26 +212,27 @@ def with_legs(
     """
     if mechanism.reduction is not None or mechanism.has_closed_chains:
         raise PlannerError("gait is for legs without closed chains and coupled joints, expected a [[goal]] without it.")
-    given, found, missing = q, *_bent(mechanism, q, feet, places, ranges)
-    away, drop = missing.max(), 0.0
-    if away > REACHED:
+    found, missing = _bent(mechanism, q, feet, places, ranges)
+    left = missing
+    if missing.max() > REACHED and missing[[0, -1]].max() <= REACHED:
         first, last = np.flatnonzero(missing.max(axis=1) > REACHED)[[0, -1]].tolist()
-        N = len(q) - 1
-        share = np.ones(N + 1)
+        share, drop = np.ones(len(q)), 0.0
         share[:first] = minimum_jerk(np.linspace(0.0, 1.0, first + 1))[0][:-1]
-        share[last + 1 :] = minimum_jerk(np.linspace(0.0, 1.0, N - last + 1))[0][-2::-1]
+        share[last + 1 :] = minimum_jerk(np.linspace(1.0, 0.0, len(q) - last))[0][1:]
         for _ in range(LOWERINGS):
-            if away <= REACHED:
-                break
-            drop += away
-            lower = _shifted(mechanism, given, -drop * np.outer(share, feet[0].normal))
+            drop += left.max()
+            lower = _shifted(mechanism, q, -drop * np.outer(share, feet[0].normal))
             found, errors = _bent(mechanism, lower, feet, places, ranges)
-            away = errors.max()
-    if away > REACHED:
-        names, worst = [foot.name for foot in feet for _ in foot.points], int(missing.max(axis=0).argmax())
+            if errors.max() >= left.max():
+                break
+            left = errors
+            if left.max() <= REACHED:
+                return found
+    if left.max() > REACHED:
+        names, worst = [foot.name for foot in feet for _ in foot.points], int(left.max(axis=0).argmax())
         raise PlannerError(
-            f"the gait takes {names[worst]} {missing.max():.2g} m further than its leg reaches within its ranges: "
-            "expected a smaller stride or lift, a lower trunk, or a longer duration."
+            f"the gait takes {names[worst]} {left.max():.2g} m further than its leg reaches within its ranges: "
+            "expected a smaller stride or lift, a lower trunk at the start and at the end, or a longer duration."
         )
     return found
 

@@ -210,11 +210,13 @@ class Scene:
             and screen_difference(self._points, other._points) < least
             and screen_difference(self._ghost_points, other._ghost_points) < least
             and screen_difference(np.asarray(self._camera.lookat)[None], np.asarray(other._camera.lookat)[None]) < least
-            and arrows.shape == others.shape  # a machine that falls touches the ground with more of its shapes
-            and screen_difference(arrows, others) < least
             and (
                 not self._appearance.force_scale
-                or screen_difference(np.nan_to_num(feet), np.nan_to_num(other_feet)) < least
+                or (
+                    arrows.shape == others.shape  # a machine that falls touches the ground with more of its shapes
+                    and screen_difference(arrows, others) < least
+                    and screen_difference(np.nan_to_num(feet), np.nan_to_num(other_feet)) < least
+                )
             )
             and self._marks.difference(other._marks, float(self._film.t[frame])) < least
         )
