@@ -173,6 +173,27 @@ def test_no_time_helps_a_motor_that_cannot_hold_the_goal(tmp_path):
     assert (found.code, found.values["duration"]) == ("force_never_enough", (10.0, "s"))
 
 
+def test_no_time_helps_a_hip_that_cannot_carry_the_machine_on_one_foot(tmp_path):
+    """A standing hip of the biped carries some 30 kg that are 0.09 m beside it: 20 N m or more."""
+    model = (ROOT / "examples" / "tasks" / "biped.xml").read_text()
+    weak = model.replace('joint="left_roll" ctrlrange="-150 150"', 'joint="left_roll" ctrlrange="-10 10"')
+    assert weak != model
+    (tmp_path / "biped.xml").write_text(weak)
+    lift = (ROOT / "benchmarks" / "moving" / "biped-lift.toml").read_text()
+    (tmp_path / "lift.toml").write_text(lift.replace("../../examples/tasks/", ""))
+    problem = planner.load_problem(tmp_path / "lift.toml")
+    plan = planner.solve(problem, SolverOptions(homotopy=False, max_iterations=2))
+    found = suggested_fixes(replace(plan, status=planner.Status.OUTSIDE_LIMITS))[0]
+    assert (found.code, found.value) == ("pose_never_held", None)
+    assert 15.0 < abs(found.values["needed"].value) < 60.0
+    assert abs(found.values["limit"].value) == 10.0
+    strong = planner.load_problem(ROOT / "benchmarks" / "moving" / "biped-lift.toml")
+    cut = replace(
+        planner.solve(strong, SolverOptions(homotopy=False, max_iterations=2)), status=planner.Status.OUTSIDE_LIMITS
+    )
+    assert "pose_never_held" not in [one.code for one in suggested_fixes(cut)]
+
+
 def test_a_servo_whose_gear_ends_its_range_before_the_goal_is_named(tmp_path):
     """Classes pass a motor's gear on to servos: a ctrlrange of 3.14 is 0.2 rad of the joint then."""
     motor, servo = '<motor name="at elbow" joint="elbow" {motor}/>', '<position name="at elbow" joint="elbow" kp="60"'

@@ -22,6 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.measured import Quantity
+from planner.dynamics.quasi_static import quasi_static_controls
+from planner.model.capabilities import capabilities_of, stands_on_ground
 from planner.model.coordinates import coordinates_of
 from planner.model.mechanism import Mechanism
 from planner.problem.costs.tracking import tracking_of
@@ -35,6 +37,7 @@ from planner.proof.verdict import Proof
 
 MAX_LENGTHENING = 10.0  # upper limit of the new duration, relative
 USABLE_SHARE = 0.9  # of a range: the rest is reserved for feedback
+TOO_WEAK = 0.1  # of a bound, by which the control that holds a pose is beyond it: feet may share a load otherwise
 LENGTHENING = 1.5  # relative new duration without a minimum-jerk trajectory
 STATIC_LENGTHENING = 1e3  # relative duration at which only gravity and springs load the actuators
 _STEPS = 30  # iterations of the bisection
@@ -110,11 +113,33 @@ def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugges
     """The duration that passes if known, else 1.5 times it, for a plan often at its bounds, or that left a range."""
     if passing := passing_duration(plan, problem, proof):
         return passing
+    if too_weak := _too_weak_to_stand(problem):
+        return too_weak
     misses = not plan.converged or _missed(proof)  # else full use of ranges is fine
     at_bounds = (control_at_bound(problem, plan.xs, plan.us), state_at_bound(problem, plan.xs)) if misses else ()
     found = [one for one in (state_outside(problem, plan.xs, plan.t), *at_bounds) if one is not None]
     values = {"duration": Quantity(problem.duration, "s"), "bounds": ", and ".join(map(sentence_of, found))}
     return [fix(problem, "duration", rounded_duration(problem, LENGTHENING), "at_bounds", **values)] if found else []
+
+
+def _too_weak_to_stand(problem: Problem) -> list[SuggestedFix]:
+    """The actuator that cannot hold the pose at the end of a machine that stands there: no duration helps."""
+    machine, cost = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
+    if machine is None or cost is None or problem.bounds is None or not stands_on_ground(machine):
+        return []
+    x = cost.x_ref[-1]
+    if np.any(x[machine.velocities]):
+        return []
+    needed = quasi_static_controls(problem.dynamics, x)
+    lower, upper = (side[-1] for side in problem.bounds.at(slice(None), np.tile(x, (problem.N, 1))))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        excess = np.maximum((needed - upper) / np.abs(upper), (lower - needed) / np.abs(lower))
+    worst = int(np.argmax(np.nan_to_num(excess, nan=0.0)))
+    if not excess[worst] > TOO_WEAK:
+        return []
+    limit = upper[worst] if needed[worst] > upper[worst] else lower[worst]
+    values = {"needed": Quantity(needed[worst]), "limit": Quantity(limit)}
+    return [no_fix("goal", "pose_never_held", actuator=control_name(problem, worst), **values)]
 
 
 def _at_goal(problem: Problem, machine: Mechanism) -> _Need:

@@ -34,6 +34,8 @@ SENTENCES = {
     "too_little_speed": "in {duration} the {joint} needs {needed} of {limit}",
     "force_never_enough": "No duration lets the actuators hold the path to the goal: even in {duration} {actuator} "
     "needs {needed} of {limit}.",
+    "pose_never_held": "No duration lets the machine stand in the pose at the end: at rest {actuator} needs {needed} "
+    "of {limit}. Another `goal` or other feet that stand are needed.",
     "servo_ends": "Even in {duration} {actuator} has {limit} where {needed} is needed: its control range ends before "
     "the pose of the goal. A servo's ctrlrange is in the unit of its joint, times its gear (which classes inherit).",
     "speed_never_enough": "No duration lets the joints follow the path to the goal: even in {duration} the {joint} "
