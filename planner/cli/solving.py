@@ -18,7 +18,7 @@ from planner.cases.problem_file import ProblemFile, case_in, load
 from planner.cli.console import Console
 from planner.cli.flags import PROBLEM_FILE
 from planner.kernels.numba.jit import is_warm
-from planner.kernels.precompile import KERNELS, SECOND_ORDER, compile_together
+from planner.kernels.precompile import KERNELS, SECOND_ORDER, compile_these, compile_together
 from planner.problem.archive import plan_name
 from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import checked_durations, durations_or_default, weights_of, with_objective
@@ -218,6 +218,7 @@ def warmup(arguments: argparse.Namespace, console: Console) -> int:
     cold = not all(is_warm(*KERNELS[name]) for name in names)
     began = time.perf_counter()
     compile_together(names)
+    compile_these([name for name in names if not is_warm(*KERNELS[name])])  # what is left on one processor
     for problem in (cases.hopper(horizon=8, duration=0.04), cases.acrobot(horizon=8, duration=0.04)):
         plan = solve(problem, max_iterations=2)
         problem.dynamics.step(plan.xs[:1], plan.us[:1])

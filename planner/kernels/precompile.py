@@ -137,7 +137,7 @@ def compile_together(names: Iterable[str]) -> None:
     families = [[name for name in family if name in cold] for family in _FAMILIES if not cold.isdisjoint(family)]
     own, *others = families
     announce(*KERNELS[own[0]])
-    if not others or (os.cpu_count() or 1) == 1 or not cache_is_shared():
+    if (os.cpu_count() or 1) == 1 or not cache_is_shared():
         return  # compiled one after the other, when they are called
     package = str(Path(__file__).parents[2])
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([package, os.environ.get("PYTHONPATH", "")])}

@@ -172,8 +172,9 @@ def _pendulum(p: np.ndarray, stiff: float, dt: float) -> np.ndarray:
     N = len(p) - 1
     if N < 6:  # two knots at each end are given
         return p
-    second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(N - 1, N + 1)) / dt**2
-    third = sparse.diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(N - 2, N + 1)) / dt**3
+    first, second, third = (sparse.eye_array(n, n + 1, k=1) - sparse.eye_array(n, n + 1) for n in (N, N - 1, N - 2))
+    second = second @ first / dt**2
+    third = third @ second / dt
     moment = sparse.eye_array(N - 1, N + 1, k=1) - stiff * second
     rows = sparse.vstack([moment, math.sqrt(JERK_WEIGHT) * third]).tocsc()
     c = p.copy()
