@@ -176,6 +176,19 @@ def test_two_checkouts_share_what_is_compiled(tmp_path):
         assert len(list(cache.rglob("*.nbc"))) == 1
 
 
+ALONE = """
+from planner.kernels.precompile import KERNELS, compile_together, is_warm
+compile_together(["tree inverse"])
+print(is_warm(*KERNELS["tree inverse"]))
+"""
+
+
+@pytest.mark.skipif((os.cpu_count() or 1) == 1, reason="one processor compiles kernels when they are called")
+def test_a_kernel_that_alone_is_missing_is_compiled_too(tmp_path):
+    output, _ = run_python(ALONE, Path(planner.__file__).parents[1], tmp_path)
+    assert output.split() == ["True"]
+
+
 UNKNOWN_NUMBA = """
 import logging, sys
 import numba
