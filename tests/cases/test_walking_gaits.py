@@ -1,5 +1,7 @@
 """A gait in one line: which feet swing when, as a reference of the weights and the first guess; and what it refuses."""
 
+import re
+
 import numpy as np
 import pytest
 from places import ROOT
@@ -256,6 +258,15 @@ def test_a_machine_in_the_air_has_no_gait(straight):
     lifted[:, 2] += 1.0
     with pytest.raises(planner.PlannerError, match=r"stands on no foot"):
         gait_of("trot").motion(mechanism, lifted, dt, np.tile([-9.0, 9.0], (mechanism.nv, 1)))
+
+
+def test_a_file_without_a_floor_says_what_to_write(tmp_path):
+    model = (ROOT / "examples" / "tasks" / "biped.xml").read_text()
+    bare = re.sub(r'<geom name="floor"[^>]*>', "", model)
+    assert bare != model
+    (tmp_path / "biped.xml").write_text(bare)
+    with pytest.raises(planner.PlannerError, match=r'no plane, .* expected one on the ground: a <geom type="plane"'):
+        loaded(tmp_path, STROLL.replace(str(BIPED), "biped.xml"))
 
 
 LEGS = tuple(f"{name}_shank" for name in FEET)

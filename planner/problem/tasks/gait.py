@@ -104,7 +104,13 @@ class Gait:
         nq, nv, space = mechanism.nq, mechanism.nv, mechanism.space
         standing = standing_feet(mechanism, rows[0])
         if not standing:
-            raise PlannerError("the machine stands on no foot at the start, expected one on the ground, or no gait.")
+            planes = "" if mechanism.contacts else "the model has no plane, so "
+            write = (
+                "" if mechanism.contacts else ': a <geom type="plane" size="0 0 1"/> in worldbody, or `floor = true`'
+            )
+            raise PlannerError(
+                f"{planes}the machine stands on no foot at the start, expected one on the ground{write}, or no gait."
+            )
         dragged = points_of_feet(mechanism, rows[:, :nq], standing)[0]
         firsts = np.cumsum([0, *(len(foot.points) for foot in standing[:-1])])
         feet = np.stack([part.mean(axis=1) for part in np.split(dragged, firsts[1:], axis=1)], axis=1)
@@ -207,9 +213,11 @@ class Gait:
         if len(standing) == 2 and self.kind == "walk":
             return np.array(TURNS["walk"][:2])
         if len(standing) != 4:
+            two = 'gait = "walk" or ' if len(standing) == 2 else ""
             raise PlannerError(
                 f"gait is {self.kind!r}, for machines of four feet, walk for two too, and this one stands on "
-                f"{len(standing)} ({', '.join(names)}): expected gait = {{ feet = {{ NAME = 0.0, ... }} }}, turns to 1."
+                f"{len(standing)} ({', '.join(names)}): expected {two}gait = {{ feet = {{ NAME = 0.0, ... }} }}, with "
+                "turns from 0 to 1."
             )
         # The longer side of the feet is the machine's; forwards is where it goes.
         at, up = dragged[0] - dragged[0].mean(axis=0), standing[0].normal
