@@ -154,9 +154,13 @@ def _nearest_to_singular(plan: Plan, problem: Problem) -> list[Measurement]:
     return [Measurement("nearest_to_singular", float(shares[worst]), "", None, note)]
 
 
-def optimality(plan: Plan, problem: Problem, now: Recomputed) -> Section:
-    """Whether the solve converged, and whether another iteration would still lower the cost."""
-    done = plan.converged and plan.status is not Status.UNRESOLVED  # a missed goal is judged as one
+def optimality(plan: Plan, problem: Problem, now: Recomputed, repeated: bool = False) -> Section:
+    """Whether the solve converged, and whether another iteration would still lower the cost.
+
+    That the steps do not resolve the motion is a prediction, by their errors carried along the closed loop. It counts
+    unless MuJoCo has `repeated` the plan at finer steps, which measures it.
+    """
+    done = plan.converged and (repeated or plan.status is not Status.UNRESOLVED)  # a missed goal is judged as one
     ended = 0.0 if done else 1.0
     measured = [Measurement("not_converged", ended, "", 0.0, plan.message)]
     note = "of a coordinate's range of motion, by halving each stage, carried along the closed loop"

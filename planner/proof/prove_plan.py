@@ -122,7 +122,7 @@ def prove(
     steps = {mode: [tracking(run, problem), goal(run, problem)] for mode, run in runs.items()}
     judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
     sound = all(section.passed for section in required.values())
-    converged, goals = optimality(plan, problem, now), goals_of(problem, plan.xs)
+    goals = goals_of(problem, plan.xs)
     given, replayed = your_file(plan, problem, goals, open_loop=runs["open-loop"], mjcf=mjcf, twin=twin)
     # A plan that follows the user's file only with its gains is no open-loop plan.
     lost = any(one.name == OPEN_LOOP_MISSES and one.value for one in given.measured)
@@ -131,6 +131,7 @@ def prove(
     broken = [m for m in MODES if not all(step.passed for step in judged[m])]
     seen = mode or min(broken, key=lambda m: bound_excess(judged[m]), default="open-loop")
     repeated = mode is not None
+    converged = optimality(plan, problem, now, repeated)
     mode = mode if given.passed else None
     passed = mode is not None and (converged.passed or not optimal)
     sections = {

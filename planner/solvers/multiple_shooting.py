@@ -34,6 +34,7 @@ from planner.solvers.engine import DefectStep, Engine, acquire_engine, release_e
 from planner.solvers.options import DEFAULT, SolverOptions
 from planner.solvers.step_control import Regularization
 
+ALONG = SolverOptions(max_defect_regularization=1e4)  # along a gait defects fall further where steps are short
 GROWTH_MARGIN = 1.1  # nu below this multiple of the largest multiplier is reset
 
 Value = Callable[[np.ndarray, np.ndarray], float]  # of states (N+1, nx) and controls (N, nu)
@@ -77,7 +78,8 @@ def controls_along(problem: Problem, states: np.ndarray, max_iterations: int) ->
     them.
     """
     engine = acquire_engine(problem, ARMIJO)
-    _, _, interrupted = close_defects(problem, engine, False, states, problem.first_guess, max_iterations, None)
+    first = problem.first_guess
+    _, _, interrupted = close_defects(problem, engine, False, states, first, max_iterations, None, options=ALONG)
     if interrupted:
         raise KeyboardInterrupt
     controls = engine.trajectory()[1]

@@ -29,7 +29,7 @@ from planner.problem.tasks.reference_motion import closed_chain_reference
 from planner.solvers.multiple_shooting import controls_along
 from planner.solvers.other_guesses import line_tracking_controls, tracking_controls
 
-SHOTS = 30  # iterations along a gait: of 18 joints a step takes 5, and a walk of five steps 15
+SHOTS = 40  # iterations along a gait: a step of 18 degrees of freedom takes 5, a walk of five steps 15, of 35 too 31
 STRAYS = 0.1  # of the largest motion: from there on gains keep a guess on its way
 GUESSES = ("auto", "line", "collision-free", "tracking", "hold", "zero")
 
