@@ -19,6 +19,16 @@ def test_a_motion_that_its_steps_do_not_resolve_is_unresolved():
     assert step_error(plan) > UNRESOLVED
 
 
+def test_what_mujoco_repeats_at_finer_steps_is_resolved():
+    """The status is a prediction; the replay measures. What it does not repeat FAILs."""
+    sound = replace(planner.solve(cases.two_link()), status=Status.UNRESOLVED)
+    proof = planner.prove(sound, rollouts=0)
+    assert proof.passed, proof
+    coarse = planner.prove(wrong_optimality.unresolved(np.random.default_rng(6)), rollouts=0)
+    assert not coarse.passed
+    assert not {one.title: one for one in coarse.sections.values()}["optimal"].passed
+
+
 @pytest.mark.parametrize("case", [cases.two_link, cases.acrobot, cases.hopper])
 def test_the_papers_cases_are_resolved(case):
     plan = planner.solve(case())
