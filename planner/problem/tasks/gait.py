@@ -47,8 +47,8 @@ from planner.problem.tasks.legs import (
     with_legs,
 )
 
-# Turns of the rear left, rear right, front left and front right foot; walk has the lateral sequence, and on two feet
-# their first two.
+# Turns of the rear left, rear right, front left and front right foot; walk has the lateral sequence, and a walk on two
+# feet the first two of its turns.
 TURNS = {
     "trot": (0.5, 0.0, 0.0, 0.5),
     "walk": (0.0, 0.5, 0.25, 0.75),

@@ -37,7 +37,7 @@ from planner.proof.verdict import Proof
 
 MAX_LENGTHENING = 10.0  # upper limit of the new duration, relative
 USABLE_SHARE = 0.9  # of a range: the rest is reserved for feedback
-TOO_WEAK = 0.1  # of a bound, by which the control that holds a pose is beyond it: feet may share a load otherwise
+TOO_WEAK = 0.1  # of the larger bound, by which the control that holds a pose is beyond one: feet may share a load
 LENGTHENING = 1.5  # relative new duration without a minimum-jerk trajectory
 STATIC_LENGTHENING = 1e3  # relative duration at which only gravity and springs load the actuators
 _STEPS = 30  # iterations of the bisection
@@ -132,8 +132,8 @@ def _too_weak_to_stand(problem: Problem) -> list[SuggestedFix]:
         return []
     needed = quasi_static_controls(problem.dynamics, x)
     lower, upper = (side[-1] for side in problem.bounds.at(slice(None), np.tile(x, (problem.N, 1))))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        excess = np.maximum((needed - upper) / np.abs(upper), (lower - needed) / np.abs(lower))
+    with np.errstate(invalid="ignore", divide="ignore"):  # without bounds; a rotor's lower one is 0
+        excess = np.maximum(needed - upper, lower - needed) / np.maximum(np.abs(upper), np.abs(lower))
     worst = int(np.argmax(np.nan_to_num(excess, nan=0.0)))
     if not excess[worst] > TOO_WEAK:
         return []
