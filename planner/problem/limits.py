@@ -221,8 +221,12 @@ class Limits:
                 found[i - first] = joint_range.low, joint_range.high
         return found
 
-    def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int) -> StateBounds | None:
+    def ranges(
+        self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int, ends: bool = True
+    ) -> StateBounds | None:  # fmt: skip
         """The ranges of the states, and exact goals; None without either.
+
+        `ends`: whether the cost's last reference is a goal, which has to be within them.
 
         Raises:
             PlannerError: As for the class; a start or a goal outside its range.
@@ -239,7 +243,8 @@ class Limits:
         offset, start = space.difference(reference, origin), space.difference(x0, origin)
         exact = np.zeros(space.ndx, dtype=bool)
         exact[at_end] = True
-        weighed = np.zeros(space.ndx, dtype=bool) if (largest := _final_weights(cost)) is None else largest > 0.0
+        largest = _final_weights(cost) if ends else None
+        weighed = np.zeros(space.ndx, dtype=bool) if largest is None else largest > 0.0
         if mechanism is not None and not (self.position is None or is_word(self.position, OFF)):
             table = self.position if isinstance(self.position, Mapping) else {}
             off = {joint for joint, value in table.items() if is_word(value, OFF)}

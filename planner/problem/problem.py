@@ -147,7 +147,8 @@ class Problem(Built):
         if self.limits is not None:
             goal = tracking_of(self.cost) or self.cost
             object.__setattr__(self, "bounds", self.limits.bounds(self.dynamics, N))
-            object.__setattr__(self, "ranges", self.limits.ranges(self.dynamics, goal, self.x0, N))
+            ends = self.periodic is None  # else the last reference is a multiplier
+            object.__setattr__(self, "ranges", self.limits.ranges(self.dynamics, goal, self.x0, N, ends))
         self._keep(us)
         if self.twin is None and isinstance(self.dynamics, RigidBodyDynamics) and self.dynamics.mechanism.mjcf:
             object.__setattr__(self, "twin", twin_of(self.dynamics.mechanism, self.dynamics.prescribed))

@@ -14,6 +14,7 @@ import numpy as np
 from planner.base.arguments import choice, count, number
 from planner.base.errors import PlannerError
 from planner.model.space import StateSpace
+from planner.model.state_map import StateMap
 from planner.problem.costs.terms import Cost
 
 PROBLEM_FILE = "problem-file"  # the name of a problem.toml's recipe, whatever its machine
@@ -67,6 +68,10 @@ class Recipe:
             raise PlannerError(f"what builds {self.name!r} is not known here, expected the problem that was solved.")
         return self.build(**self.parameters | changes)
 
+    def changed(self, **changes: Any) -> Recipe:
+        """The recipe of the problem that is built with some arguments changed, where it is made without building it."""
+        return replace(self, parameters=self.parameters | changes, _parts=())
+
 
 @dataclass(frozen=True, eq=False)
 class Objective:
@@ -83,7 +88,10 @@ class Objective:
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """The components of the state that return to their start at the end of a trajectory, with tolerances."""
+    """The components of the state that return to their start at the end of a trajectory, with tolerances.
+
+    With `image` they return to the image of the start: of a gait it is further along the ground, or mirrored.
+    """
 
     # (ndx,) max closure error of each component of the deviation; infinite for components that need not return, like
     # the travel of a belt. A number applies to all.
@@ -91,6 +99,7 @@ class Periodic:
     step: str = "newton"  # Method of solve_periodic to change the start: "newton" or "follow"
     passes: int = 8  # Max number of solves of solve_periodic
     cost_tolerance: float = 1e-3  # Relative change of the cost below which "newton" only reduces the closure error
+    image: StateMap | None = None  # From the start to where it returns; None for the start itself
 
     def __post_init__(self) -> None:
         try:
@@ -113,7 +122,16 @@ class Periodic:
         if self.tolerance.shape not in ((), (ndx,)):
             shape = self.tolerance.shape
             raise PlannerError(f"the tolerance of what is periodic has shape {shape}, expected ({ndx},).")
+        if self.image is not None and self.image.matrix.shape != (ndx, ndx):
+            raise PlannerError(
+                f"the image of what is periodic is of {len(self.image.matrix)} deviations, expected {ndx}."
+            )
         return replace(self, tolerance=np.broadcast_to(self.tolerance, ndx))
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """(ndx, ndx) the derivative of where the start returns to by the start."""
+        return np.eye(len(self.tolerance)) if self.image is None else self.image.matrix
 
     @property
     def periodic_mask(self) -> np.ndarray:
@@ -122,7 +140,8 @@ class Periodic:
 
     def closure_error(self, space: StateSpace, xs: np.ndarray) -> np.ndarray:
         """(ndx,) difference of end and start of states (N+1, nx); zero for components that need not return."""
-        return np.where(self.periodic_mask, space.difference(xs[-1], xs[0]), 0.0)
+        start = xs[0] if self.image is None else self.image.apply(space, xs[0])
+        return np.where(self.periodic_mask, space.difference(xs[-1], start), 0.0)
 
     def miss(self, space: StateSpace, xs: np.ndarray) -> float:
         """Max closure error over its tolerance: at most 1 if states (N+1, nx) are periodic."""
@@ -135,10 +154,13 @@ class Periodic:
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; infinity is None."""
         tolerance = [float(value) if np.isfinite(value) else None for value in self.tolerance]
-        return {"tolerance": tolerance, "step": self.step, "passes": self.passes, "cost_tolerance": self.cost_tolerance}
+        table = {"tolerance": tolerance, "step": self.step, "passes": self.passes}
+        image = {} if self.image is None else {"image": self.image.to_dict()}
+        return table | {"cost_tolerance": self.cost_tolerance} | image
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> Periodic:
         """The Periodic of a table that to_dict made."""
         tolerance = np.array([np.inf if value is None else value for value in table["tolerance"]])
-        return cls(**{**table, "tolerance": tolerance})
+        image = StateMap.from_dict(table["image"], len(tolerance)) if "image" in table else None
+        return cls(**{**table, "tolerance": tolerance, "image": image})

@@ -5,6 +5,8 @@
                        lowers the cost in its null space
                        solvers.periodic_boundary
              "follow": x0 and r become the last end state
+             a step after whose solve the merit, cost + penalty |closure error|, is larger is taken back, for a
+             shorter one
     until    the end is within the tolerance of the start (and, for "newton", the expected reduction is small).
 
 "newton" converges to a locally optimal periodic trajectory, whatever the final weights are. "follow" is a fixed-point
@@ -27,11 +29,14 @@ from planner.base.data_files import finite
 from planner.base.errors import PlannerError
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.problem.problem_parts import STEPS
+from planner.problem.problem_parts import STEPS as METHODS
 from planner.solvers.gains import warm_start
 from planner.solvers.options import single_start
 from planner.solvers.periodic_boundary import (
+    ONLY_CLOSING,
+    BoundarySensitivity,
     BoundaryStates,
+    BoundaryTrial,
     ends_of,
     improved_boundary,
     periodic_problem,
@@ -48,6 +53,8 @@ LEFT = 1e-4
 FOLLOW_LEFT = 0.01
 """The same share of the cost up to which a motion of "follow" is CONVERGED: what a proof allows of it."""
 _TO_CLOSE = 2  # last passes, which only close the closure error
+MERIT_SLACK = 1e-3  # share of the merit that solves, which end within their tolerances, leave open
+SHORTER = 3  # of the steps: by which one that made the merit worse is shortened
 
 
 class PeriodicPass(NamedTuple):
@@ -93,17 +100,13 @@ def solve_periodic(
         periodic within the tolerance, else NOT_PERIODIC or the status of the solve.
 
     Raises:
-        PlannerError: As solve; a problem without `periodic` or such a cost; "newton" with ranges or constraints.
+        PlannerError: As solve; a problem without `periodic` or such a cost.
     """
     if not isinstance(problem, Problem) or problem.periodic is None:
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem with periodic=Periodic(tolerance).")
     passes = problem.periodic.passes if passes is None else count("passes", passes)
-    step = problem.periodic.step if step is None else choice("step", step, STEPS)
+    step = problem.periodic.step if step is None else choice("step", step, METHODS)
     by_newton = step == "newton"
-    if by_newton and problem.trajectory_constraints is not None:
-        raise PlannerError(
-            'ranges of states and constraints are no part of the step "newton", expected step="follow" with them.'
-        )
     tracking(problem)
     options["budget"] = budget_of(options.get("budget"))  # one for all passes
     search = _PeriodicSearch(problem, by_newton, passes, callback, options)
@@ -134,7 +137,10 @@ class _PeriodicSearch:
         self.by_newton, self.passes, self.callback, self.options = by_newton, passes, callback, options
         self.lines: list[PeriodicPass] = []
         self.interrupted = False
-        self.best: tuple[tuple[bool, float], Plan] | None = None  # rank (lower is better), and the plan
+        # Rank (lower is better), the plan, and whether no step would lower its cost by more than FOLLOW_LEFT of it.
+        self.best: tuple[tuple[bool, float], Plan, bool] | None = None
+        self.accepted: BoundarySensitivity | None = None  # from which steps are tried
+        self.first, self.penalty = 0, 0.0  # of the steps, to try next; of the last one's merit
 
     def go(self, problem: Problem) -> None:
         """One pass; sets the problem of the next, None if converged or no step is accepted."""
@@ -144,25 +150,42 @@ class _PeriodicSearch:
         ran = bool(np.isfinite(plan.xs).all())
         miss = periodic.miss(plan.space, plan.xs) if ran else math.inf
         answer = response(plan) if self.by_newton and ran else None
-        left = math.nan if answer is None else answer.step(0.0).decrease
+        trial = None if answer is None else self._trial(answer)
+        left = math.nan if answer is None or self.accepted is not answer else 0.0 if trial is None else trial.decrease
         cost = plan.cost - terminal_goal_cost(plan)
         line = PeriodicPass(len(self.lines), cost, miss, left, plan.nit, plan.status)
         self.lines.append(line)
         open_ = not plan.converged or miss > 1.0
         rank = open_, miss if open_ or not self.by_newton else cost
         if self.best is None or rank < self.best[0]:
-            self.best = rank, plan
+            self.best = rank, plan, not left > FOLLOW_LEFT * abs(cost)
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if self.callback is not None:
             self.callback(line)
         steady = len(self.lines) > 1 and abs(cost - self.lines[-2].cost) <= periodic.cost_tolerance * abs(cost)
-        small_reduction = answer is None or steady or left <= LEFT * abs(cost)
+        small_reduction = answer is None or left <= (FOLLOW_LEFT if steady else LEFT) * abs(cost)
         if not ran or (small_reduction and not open_):
             self.next = None
+        elif answer is None:
+            self.next = _followed(plan)
         else:
             late = self.passes - len(self.lines) <= _TO_CLOSE
-            self.next = _followed(plan) if answer is None else improved_boundary(answer, steady or (open_ and late))
+            if self.accepted is answer and open_ and (late or (steady and small_reduction)):
+                trial = improved_boundary(answer, max(self.first, ONLY_CLOSING)) or trial
+            self.next = None
+            if trial is not None:
+                self.next, self.first, self.penalty = trial.problem, trial.number, trial.penalty
+
+    def _trial(self, answer: BoundarySensitivity) -> BoundaryTrial | None:
+        """A step from the last plan, or a shorter one from the one before, if its step has made the merit worse."""
+        before = self.accepted
+        if before is not None:
+            worse = answer.merit(self.penalty) > before.merit(self.penalty) * (1.0 + MERIT_SLACK)
+            self.first = self.first + SHORTER if worse else max(self.first - 1, 0)
+            answer = before if worse else answer
+        self.accepted = answer
+        return improved_boundary(answer, self.first)
 
     @property
     def is_cut(self) -> bool:
@@ -174,7 +197,8 @@ class _PeriodicSearch:
         """The best plan, with the record of the passes in its options."""
         if self.best is None:
             raise KeyboardInterrupt  # before the first plan
-        plan, status = self.best[1], self.best[1].status
+        _, plan, at_best = self.best
+        status = plan.status
         _, periodic = periodic_problem(plan)
         if self.interrupted:
             status = Status.INTERRUPTED
@@ -182,7 +206,7 @@ class _PeriodicSearch:
             status = self.options["budget"].end
         elif plan.converged and not periodic.miss(plan.space, plan.xs) <= 1.0:
             status = Status.NOT_PERIODIC
-        elif status is Status.CONVERGED and not (self.by_newton or _has_best_ends(plan)):
+        elif status is Status.CONVERGED and not (at_best if self.by_newton else _has_best_ends(plan)):
             status = Status.NOT_OPTIMAL
         told = [finite([line.cost, line.miss, line.left, line.iterations]) for line in self.lines]
         return replace(plan, status=status, options=plan.options | options | {"tried": told})
@@ -200,6 +224,9 @@ def _has_best_ends(plan: Plan) -> bool:
 def _followed(plan: Plan) -> Problem:
     """The problem whose start and reference are the plan's last state in the periodic components."""
     problem, periodic = periodic_problem(plan)
-    ends = BoundaryStates(*(periodic.brought(plan.space, old, plan.xs[-1]) for old in ends_of(problem)))
+    space, last = plan.space, plan.xs[-1]
+    before = last if periodic.image is None else periodic.image.undo(space, last)
+    start, goal = ends_of(problem)
+    ends = BoundaryStates(periodic.brought(space, start, before), periodic.brought(space, goal, last))
     changed = with_ends(problem, ends, plan.us)
     return replace(changed, us=warm_start(plan, changed))

@@ -4,7 +4,7 @@ The optimal periodic trajectory, minimize L(x, U) subject to x(N) = x(0) over x(
 
     x(N) = x(0),     costate(0) = nu,        nu the multiplier of x(N) = x(0)
 
-and the zero gradient of Eq. 20. A solve from a start x0 with the final cost 1/2 |x(N) - r|^2_W has a zero gradient and
+(of a gait x(N) = image of x(0), costate(0) = S' nu, S the derivative of the image) and the zero gradient of Eq. 20. A solve from a start x0 with the final cost 1/2 |x(N) - r|^2_W has a zero gradient and
 nu = W (x(N) - r). This leaves two equations for two unknowns, x0 and r, and the LQ problem (Eq. 31-35) at the solution
 gives their derivatives, with Phi_n = product of A + B K from n + 1 to N, Phi that from 0, H = R + B'PB:
 
@@ -12,7 +12,7 @@ gives their derivatives, with Phi_n = product of A + B K from n + 1 to N, Phi th
     d x(N)       = Phi dx0 + G W dr,         G = sum over n of Phi_n B H^-1 B' Phi_n'
     d costate(0) = P(0) dx0 - Phi' W dr
 
-So the LQ problem's periodic trajectories satisfy (Phi - I) dx0 + G W dr = x(0) - x(N), on which L is a convex
+So the LQ problem's periodic trajectories satisfy (Phi - S) dx0 + G W dr = x(0) - x(N), S = I without an image, on which L is a convex
 quadratic in (dx0, dr). A step is the minimum-norm solution, which is well conditioned and small, plus Newton's step for
 L in the null space, damped by mu until the actual cost agrees with the expected one: this part may be large, since L
 depends weakly on some directions of the start. Components that need not be periodic keep their start and reference.
@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.base.errors import PlannerError
+from planner.dynamics.protocol import rollout_states
 from planner.model.space import space_of
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost, tracking_of
@@ -40,10 +41,14 @@ PARAMETER = "ends"
 """Parameter of a built-in problem: start and terminal reference (2, nx), as lists; None for its own."""
 
 
-TRUST = 0.3
-"""Upper limit of |actual - predicted cost| / L of an accepted step."""
-_DAMPINGS = (0.0, *(10.0 ** (0.5 * np.arange(-4, 9))))  # mu, relative to the final weight
+SUFFICIENT = 0.1
+"""Lower limit of the actual over the predicted reduction of the merit of an accepted step."""
+_DAMPINGS = (0.0, *(10.0 ** (0.5 * np.arange(-4, 9))).tolist())  # mu, relative to the final weight
 _PARTS = (0.5, 0.25, 0.125, 0.0625)  # fractions of the closure error to close if the full step is rejected
+STEPS = (*((mu, 1.0) for mu in _DAMPINGS), *((_DAMPINGS[-1], part) for part in _PARTS))
+"""Damping and fraction of the steps that are tried one after another."""
+ONLY_CLOSING = len(_DAMPINGS) - 1
+MERIT_FACTOR = 2.0  # of the largest multiplier: the weight of the closure error in the merit
 _SINGULAR = 1e-10  # smallest singular value, relative to the largest
 
 
@@ -68,8 +73,10 @@ class BoundarySensitivity(NamedTuple):
     plan: Plan  # Solved, of a problem with `periodic`
     closes: np.ndarray  # (m,) indices of the periodic components
     W: np.ndarray  # (ndx, ndx) final weight of the TrackingCost
+    S: np.ndarray  # (ndx, ndx) derivative of where the start returns to by the start
     gap: np.ndarray  # (ndx,) closure error x(N) - x(0), zero for components that need not be periodic
     costate: np.ndarray  # (ndx,) at the start
+    error: np.ndarray  # (ndx,) x(N) - r
     nu: np.ndarray  # (ndx,) W (x(N) - r)
     P: np.ndarray  # (ndx, ndx) Hessian of the cost-to-go at the start
     Phi: np.ndarray  # (ndx, ndx) d x(N) / d x(0) of the closed loop
@@ -80,10 +87,10 @@ class BoundarySensitivity(NamedTuple):
     def step(self, mu: float, part: float = 1.0) -> BoundaryStep:
         """The step damped by mu, which closes a fraction `part` of the closure error."""
         c, m, I = self.closes, len(self.closes), np.eye(len(self.W))
-        scale = np.sqrt(np.diag(self.W)[c])  # scales steps to sqrt(unit of J)
+        scale = self._scale  # scales steps to sqrt(unit of J)
         both = np.r_[c, len(I) + c]
         shrink = np.tile(1.0 / scale, 2)
-        closing = (scale[:, None] * np.hstack([self.Phi - I, self.G @ self.W])[np.ix_(c, both)]) * shrink
+        closing = (scale[:, None] * np.hstack([self.Phi - self.S, self.G @ self.W])[np.ix_(c, both)]) * shrink
         H, g = self._running()
         H, g = np.outer(shrink, shrink) * H[np.ix_(both, both)], shrink * g[both]
         U, s, Vt = np.linalg.svd(closing)
@@ -103,6 +110,39 @@ class BoundarySensitivity(NamedTuple):
         to_goal = np.hstack([self.Phi, self.G @ W - np.eye(len(W))])  # x(N) - r
         H = np.block([[self.P, -WPhi.T], [-WPhi, W - W @ self.G @ W]]) - to_goal.T @ W @ to_goal
         return H, np.concatenate([self.costate, -self.nu]) - to_goal.T @ self.nu
+
+    def penalty(self, step: BoundaryStep, part: float) -> float:
+        """A weight of the closure error, each component scaled by its final weight.
+
+        It is above the multipliers, and such that a step that closes a fraction `part` of it is to lower the merit (N&W
+        18.36).
+        """
+        multipliers = MERIT_FACTOR * float(np.max(np.abs(self.nu[self.closes]) / self._scale, initial=0.0))
+        rise, closed = self._predicted_running_cost(step) - self.merit(0.0), part * self.size(self.gap)
+        return max(multipliers, MERIT_FACTOR * rise / closed if closed > 0.0 else 0.0)
+
+    def merit(self, penalty: float) -> float:
+        """The cost without the terminal goal term and the weighed closure error (N&W 18.3, exact penalty)."""
+        cost = self.plan.cost - terminal_goal_cost(self.plan)
+        return cost + penalty * self.size(self.gap)
+
+    def predicted_merit(self, step: BoundaryStep, part: float, penalty: float) -> float:
+        """The merit of the LQ problem after a step that closes a fraction `part` of the closure error."""
+        return self._predicted_running_cost(step) + penalty * (1.0 - part) * self.size(self.gap)
+
+    def _predicted_running_cost(self, step: BoundaryStep) -> float:
+        """The cost of the LQ problem after a step, without the terminal goal term."""
+        to_goal = self.error + self.Phi @ step.dx + self.G @ self.W @ step.dr - step.dr
+        return self.predicted_cost(step.dx, step.dr) - 0.5 * float(to_goal @ self.W @ to_goal)
+
+    def size(self, gap: np.ndarray) -> float:
+        """The sum of a closure error's (ndx,) components, each scaled by its final weight."""
+        return float(self._scale @ np.abs(gap[self.closes]))
+
+    @property
+    def _scale(self) -> np.ndarray:
+        """(m,) sqrt of the final weights of the periodic components."""
+        return np.sqrt(np.diag(self.W)[self.closes])
 
     def predicted_cost(self, dx: np.ndarray, dr: np.ndarray) -> float:
         """J of the LQ problem at changes dx, dr (ndx,) of start and reference."""
@@ -140,17 +180,15 @@ def ends_of(problem: Problem) -> BoundaryStates:
 def with_ends(problem: Problem, ends: BoundaryStates, us: np.ndarray) -> Problem:
     """The problem with another start and terminal reference, and first controls us (N, nu).
 
-    A built-in problem with the parameter PARAMETER is rebuilt from its recipe, so that its plans can be stored.
+    A problem whose recipe has the parameter PARAMETER keeps its recipe, with these ends, so that plans can be stored.
     """
     old = base_problem(problem)
-    if old.recipe is not None and PARAMETER in old.recipe.parameters:
-        built = old.recipe.rebuilt(**{PARAMETER: [end.tolist() for end in ends]})
-        new = replace(built, limits=old.limits, us=us)
-    else:
-        cost = tracking(old)
-        terms = getattr(old.cost, "costs", (old.cost,))
-        whole = [cost.with_goal(ends.goal) if term is cost else term for term in terms]
-        new = replace(old, cost=whole[0] if len(whole) == 1 else SumCost(*whole), x0=ends.start, us=us)
+    cost, recipe = tracking(old), old.recipe
+    if recipe is not None and PARAMETER in recipe.parameters:
+        recipe = recipe.changed(**{PARAMETER: [end.tolist() for end in ends]})
+    terms = getattr(old.cost, "costs", (old.cost,))
+    whole = [cost.with_goal(ends.goal) if term is cost else term for term in terms]
+    new = replace(old, cost=whole[0] if len(whole) == 1 else SumCost(*whole), x0=ends.start, us=us, recipe=recipe)
     return new if problem.objective is None else with_objective(new, problem.objective.weights)
 
 
@@ -180,9 +218,9 @@ def response(plan: Plan) -> BoundarySensitivity:
         G += reach @ answer
         Phi = Phi @ (A[n] + B[n] @ sweep.K[n])
     space = space_of(problem.dynamics)
-    terminal_error = W @ space.difference(plan.xs[-1], tracking(problem).x_ref[-1])
+    error = space.difference(plan.xs[-1], tracking(problem).x_ref[-1])
     gap, costate = periodic.closure_error(space, plan.xs), lq.costates(A, model)[0]
-    return BoundarySensitivity(plan, closes, W, gap, costate, terminal_error, sweep.P[0], Phi, G, sweep.K, F)
+    return BoundarySensitivity(plan, closes, W, periodic.matrix, gap, costate, error, W @ error, sweep.P[0], Phi, G, sweep.K, F)
 
 
 def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> np.ndarray:
@@ -193,29 +231,41 @@ def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> 
     return np.where(at_bound[:, None, :], 0.0, B)
 
 
-def improved_boundary(found: BoundarySensitivity, close: bool = False) -> Problem | None:
-    """The problem after one step of the boundary states, with the tracking rollout's controls as first guess.
+class BoundaryTrial(NamedTuple):
+    """A step of the boundary states whose rollout lowers the merit."""
 
-    The first step, by increasing damping, whose rollout cost agrees with the predicted one within TRUST; None if there
-    is none.
+    problem: Problem  # With the rollout's controls as first guess
+    number: int  # Of STEPS
+    penalty: float  # Of the merit
+    decrease: float  # Expected reduction of L by the null-space part
+
+
+def improved_boundary(found: BoundarySensitivity, first: int = 0) -> BoundaryTrial | None:
+    """The first of STEPS whose rollout lowers the merit by SUFFICIENT of what the LQ problem predicts, or None.
 
     Args:
         found: The sensitivity at the last plan.
-        close: Whether only to close the closure error, by maximum damping.
+        first: The first of STEPS that is tried, from ONLY_CLOSING on only to close the closure error.
     """
     plan = found.plan
-    problem, _ = periodic_problem(plan)
+    problem, periodic = periodic_problem(plan)
     space, ends = space_of(problem.dynamics), ends_of(problem)
-    for mu, part in (
-        *((mu, 1.0) for mu in (_DAMPINGS[-1:] if close else _DAMPINGS)),
-        *((_DAMPINGS[-1], part) for part in _PARTS),
-    ):
-        step = found.step(mu, part)
+    for k in range(first, len(STEPS)):
+        step, part = found.step(*STEPS[k]), STEPS[k][1]
+        penalty = found.penalty(step, part)
+        now = found.merit(penalty)
         there = BoundaryStates(space.integrate(ends.start, step.dx), space.integrate(ends.goal, step.dr))
-        new = with_ends(problem, there, plan.us)
+        try:
+            new = with_ends(problem, there, plan.us)
+        except PlannerError:  # a start out of its range
+            continue
         cost, us = feedback_rollout(new, plan.us + found.F @ step.dr, found.K, plan.xs)
-        if abs(cost - found.predicted_cost(step.dx, step.dr)) <= TRUST * (plan.cost - terminal_goal_cost(plan)):
-            return replace(new, us=us)
+        if not np.isfinite(cost):
+            continue
+        xs = rollout_states(new.dynamics, new.x0, us)
+        merit = cost - tracking(new).final_cost(xs[-1]) + penalty * found.size(periodic.closure_error(space, xs))
+        if merit <= now + SUFFICIENT * min(found.predicted_merit(step, part, penalty) - now, 0.0):
+            return BoundaryTrial(replace(new, us=us), k, penalty, step.decrease)
     return None
 
 

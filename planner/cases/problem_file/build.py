@@ -58,6 +58,8 @@ from planner.base.arguments import choice, count, short_repr
 from planner.base.data_files import check_file, problem_files, read_table
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.constraints import constraints_of
+from planner.cases.problem_file.cycles import GAIN as GAIN_IN_CYCLE
+from planner.cases.problem_file.cycles import cycle_cost, cycle_in, ends_in, motion_in, periodic_of
 from planner.cases.problem_file.feasibility_checks import (
     check_goal_controllable,
     check_goal_differs,
@@ -107,6 +109,7 @@ from planner.problem.problem_parts import PROBLEM_FILE, Recipe
 from planner.problem.reaching_cost import straight_reference, weighed
 from planner.solvers.free_time import solve_for
 from planner.solvers.periodic import solve_periodic
+from planner.solvers.periodic_boundary import PARAMETER
 from planner.solvers.slq import solve
 from planner.solvers.waypoints import WAYPOINTS
 
@@ -259,6 +262,8 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     if "start" not in table and (own := start_of_model(mechanism)) is not None:
         table = table | {"start": own}
         told = f"start is {f'the keyframe {own!r}' if own else 'the pose in which the file draws it'}: none is given."
+    if "periodic" in table:
+        table = {"goal": {}} | table
     for key in ("start", *(() if "follow" in table else ("goal",))):
         if key not in table:
             wanted = states_of(mechanism)
@@ -267,6 +272,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
             more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
             raise PlannerError(f"{where} has no key {key!r}, expected {wanted}{more}.")
     tasked = is_task(table, mechanism)
+    cycle = cycle_in(table, tasked)
     if "goal" in table["weights"] and not tasked:
         raise PlannerError("weights.goal is for [[goal]] and [follow], expected final_position and final_velocity.")
     table = with_tasks(table, mechanism) if tasked else table
@@ -295,7 +301,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if tasked:
         notes.pop("goal", None)  # it has none of the whole machine
-    elif table["goal"] == {}:
+    elif table["goal"] == {} and cycle is None:
         reasons["goal"] = "goal names no joint, so that the machine is to end where it starts."
     if left_out := _left_out(mechanism):
         reasons["model"] = f"The model is read without {', '.join(left_out)}."
@@ -322,8 +328,12 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         passed = ", ".join(f"{way.task.goals[k].time:.3g}" for k in way.waypoints)
         reasons["goal"] = f"Via points without times are passed at {passed} s, in proportion to the way of the joints."
     along = None if way is None else guess_of(way, dynamics, x0)
-    steps = steps_of(table)
-    if way is None and steps is not None:
+    steps, cyclic = steps_of(table), None
+    if cycle is not None:
+        cyclic = motion_in(table, cycle, dynamics, x0, N, limits)
+        along, reasons["gait"] = ReferenceTrajectory(None, cyclic.states, direct=True, walks=True), cyclic.said
+        goal = cyclic.image.apply(dynamics.space, x0)
+    elif way is None and steps is not None:
         ranges = (limits or Limits(position="off")).position_ranges(dynamics)
         straight = straight_reference(dynamics, x0, goal, N)
         rows, reasons["gait"] = steps.motion(mechanism, straight, dynamics.dt, ranges)
@@ -333,7 +343,11 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     table = _resolved(table, dynamics, x0, goal, reasons, way, limits, along, ramp)
     weights = table[RESOLVED]["weights"]
     wanted = None
-    if way is None:
+    if cyclic is not None:
+        start, end = ends_in(table, cyclic)
+        table = table | {PARAMETER: [start.tolist(), end.tolist()]}
+        cost, x0 = cycle_cost(dynamics, x0, cyclic, end, weights), start
+    elif way is None:
         straight = stands_on_ground(mechanism) and "position" not in table["weights"]
         walked = {} if along is None else {"reference": along.states}
         cost = weighed(dynamics, x0, goal, N, weights | walked, straight=straight)
@@ -347,10 +361,14 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, constraints=kept, goal_specs=wanted,
         tolerance=None if tasked else table["tolerance"], expected_reduction_tolerance=DECREASE,
-        actual_reduction_tolerance=GAIN if mechanism.contacts else DECREASE if mechanism.has_closed_chains else 0.0,
+        periodic=None if cyclic is None else periodic_of(dynamics, cyclic),
+        actual_reduction_tolerance=GAIN_IN_CYCLE if cyclic is not None else GAIN if mechanism.contacts else DECREASE
+        if mechanism.has_closed_chains else 0.0,
     )  # fmt: skip
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
-    if way is None or wanted is None:
+    if cyclic is not None:
+        pass  # it ends as it begins
+    elif way is None or wanted is None:
         check_goal_differs(problem)
         check_goal_controllable(problem, goal[None])
         check_momentum(problem, goal)

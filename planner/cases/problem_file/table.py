@@ -16,6 +16,7 @@ from planner.problem.limits import Limits
 from planner.problem.objective import checked_durations, weights_of
 from planner.problem.rediscretize import MAX_STAGES
 from planner.solvers.options import MAX_STARTS
+from planner.solvers.periodic_boundary import PARAMETER
 from planner.solvers.waypoints import WAYPOINTS
 
 
@@ -24,7 +25,7 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
 
     A plan's own table, `stored`, holds beside the keys of a file what was chosen by itself.
     """
-    check_keys(table, (*KEYS, RESOLVED) if stored else KEYS, where)
+    check_keys(table, (*KEYS, RESOLVED, PARAMETER) if stored else KEYS, where)
     for name, keys in (
         ("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, ("weights", "reasons", WAYPOINTS, RAMP)),
     ):  # fmt: skip

@@ -102,23 +102,12 @@ class Gait:
             PlannerError: The machine has other feet, or its legs do not reach their footholds.
         """
         nq, nv, space = mechanism.nq, mechanism.nv, mechanism.space
-        standing = standing_feet(mechanism, rows[0])
-        if not standing:
-            planes = "" if mechanism.contacts else "the model has no plane, so "
-            write = (
-                "" if mechanism.contacts else ': a <geom type="plane" size="0 0 1"/> in worldbody, or `floor = true`'
-            )
-            raise PlannerError(
-                f"{planes}the machine stands on no foot at the start, expected one on the ground{write}, or no gait."
-            )
+        standing = feet_of(mechanism, rows[0])
         dragged = points_of_feet(mechanism, rows[:, :nq], standing)[0]
-        firsts = np.cumsum([0, *(len(foot.points) for foot in standing[:-1])])
-        feet = np.stack([part.mean(axis=1) for part in np.split(dragged, firsts[1:], axis=1)], axis=1)
-        normals = np.array([foot.normal for foot in standing])
-        h = float(normals[0] @ (center_of_mass(mechanism, rows[0, :nq]) - feet[0].mean(axis=0)))
-        lift = min(CLEARANCE, 0.2 * h) if self.lift is None else self.lift
+        feet, h = centres_of(standing, dragged), height_of(mechanism, rows[0], standing)
+        lift = self.lift_of(h)
         if self.phases:
-            swings, said = self._swings_of_phases(standing, dt * (len(rows) - 1))
+            swings, said = self.swings_of_phases(standing, dt * (len(rows) - 1))
             for k, (begin, phase) in enumerate(zip(self._begins, self.phases, strict=True), 1):
                 if not phase.stand:
                     end = min(phase.until, dt * (len(rows) - 1))
@@ -127,18 +116,22 @@ class Gait:
             times = dt * last_change(rows), dt * (len(rows) - 1)
             swings, said = self._swings_of_turns(mechanism, standing, feet, times, h)
         of_foot = np.repeat(np.arange(len(standing)), [len(foot.points) for foot in standing])
+        normals = np.array([foot.normal for foot in standing])[of_foot]
         t, of_points = dt * np.arange(len(rows)), [swings[k] for k in of_foot]
-        swinging = [sum(((t > a) & (t < b) for a, b in own), np.zeros(len(t), dtype=bool)) for own in swings]
-        stands = ~np.array(swinging).T
+        stands = stands_at(t, of_points)
         carried = bool(np.any(stands.any(axis=1) & ~stands.all(axis=1)))
-        when = evenly_paced(dragged, normals[of_foot], of_points, dt) if direct and carried else t
-        places = stepping(dragged, when, normals[of_foot], of_points, lift, dt)
-        q = over_support(mechanism, rows[:, :nq], places, stands[:, of_foot], normals[0], dt)
+        when = evenly_paced(dragged, normals, of_points, dt) if direct and carried else t
+        places = stepping(dragged, when, normals, of_points, lift, dt)
+        q = over_support(mechanism, rows[:, :nq], places, stands, normals[0], dt)
         q = with_legs(mechanism, q, standing, places, ranges)
         xs = rows.copy()
         xs[:, :nq] = q
         xs[1:-1, mechanism.velocities] = space.difference(xs[2:], xs[:-2])[:, :nv] / (2.0 * dt)
         return xs, f"Gait: {said}, steps of up to {longest_step(places):.2g} m, feet lifted by {lift:.2g} m."
+
+    def lift_of(self, height: float) -> float:
+        """m, by which feet are lifted, of a machine whose centre of mass has a height, m."""
+        return min(CLEARANCE, 0.2 * height) if self.lift is None else self.lift
 
     @property
     def _begins(self) -> list[float]:
@@ -157,10 +150,8 @@ class Gait:
             times: s, when it comes to rest, and its duration.
             h: m, the height of the centre of mass.
         """
-        turns = self._turns(standing, dragged)
-        slots = len(np.unique(turns))
-        duty = 1.0 - (1.0 - OVERLAP) / slots if self.duty is None else self.duty
-        lead = max(0.0, 1.0 / slots - (1.0 - duty))
+        turns = self.turns(standing, dragged)
+        slots, duty, lead = self.times_of(turns)
         distance = float(np.linalg.norm(np.diff(dragged, axis=0), axis=2).sum(axis=0).max())
         g = float(np.linalg.norm(mechanism.gravity)) or 1.0
         falling, (moving, duration), wait, slot = math.sqrt(h / g), times, 0.0, 1.0
@@ -179,7 +170,7 @@ class Gait:
         swings = [[(float(t), float(t + (1.0 - duty) * T)) for t in column] for column in begins.T]
         return swings, f"{cycles} cycles of {T:.3g} s, feet standing for {duty:.2g} of the time"
 
-    def _swings_of_phases(
+    def swings_of_phases(
         self, standing: list[Foot], duration: float
     ) -> tuple[list[list[tuple[float, float]]], str]:  # fmt: skip
         """Begin and end of each foot's swings, s, by the phases; and words about them."""
@@ -201,7 +192,13 @@ class Gait:
             swings.append([(self._begins[first], landings[after - 1]) for first, after in runs])
         return swings, f"{len(ends)} phases"
 
-    def _turns(self, standing: list[Foot], dragged: np.ndarray) -> np.ndarray:
+    def times_of(self, turns: np.ndarray) -> tuple[int, float, float]:
+        """The slots of a cycle, the share in which a foot stands, and that before the first one leaves the ground."""
+        slots = len(np.unique(turns))
+        duty = 1.0 - (1.0 - OVERLAP) / slots if self.duty is None else self.duty
+        return slots, duty, max(0.0, 1.0 / slots - (1.0 - duty))
+
+    def turns(self, standing: list[Foot], dragged: np.ndarray) -> np.ndarray:
         """(F,) the turn of each standing foot."""
         names = [foot.name for foot in standing]
         if self.feet:
@@ -230,6 +227,40 @@ class Gait:
         turns = np.empty(4)
         turns[order] = TURNS[str(self.kind)]
         return turns
+
+
+def feet_of(mechanism: Mechanism, x: np.ndarray) -> list[Foot]:
+    """The feet on which a machine stands at a state (nx,).
+
+    Raises:
+        PlannerError: It stands on none.
+    """
+    standing = standing_feet(mechanism, x)
+    if not standing:
+        planes = "" if mechanism.contacts else "the model has no plane, so "
+        write = "" if mechanism.contacts else ': a <geom type="plane" size="0 0 1"/> in worldbody, or `floor = true`'
+        raise PlannerError(
+            f"{planes}the machine stands on no foot at the start, expected one on the ground{write}, or no gait."
+        )
+    return standing
+
+
+def centres_of(standing: list[Foot], points: np.ndarray) -> np.ndarray:
+    """(N, F, 3) m, the middles of feet, of places (N, K, 3) of their points."""
+    firsts = np.cumsum([0, *(len(foot.points) for foot in standing[:-1])])
+    return np.stack([part.mean(axis=1) for part in np.split(points, firsts[1:], axis=1)], axis=1)
+
+
+def height_of(mechanism: Mechanism, x: np.ndarray, standing: list[Foot]) -> float:
+    """m, of the centre of mass above the feet at a state (nx,)."""
+    q = x[: mechanism.nq]
+    feet = centres_of(standing, points_of_feet(mechanism, q[None], standing)[0])[0]
+    return float(standing[0].normal @ (center_of_mass(mechanism, q) - feet.mean(axis=0)))
+
+
+def stands_at(t: np.ndarray, swings: list[list[tuple[float, float]]]) -> np.ndarray:
+    """(N, F) bool, whether feet stand at times t (N,), s."""
+    return np.stack([~sum(((t > a) & (t < b) for a, b in own), np.zeros(len(t), dtype=bool)) for own in swings], axis=1)
 
 
 def gait_of(value: Any) -> Gait:

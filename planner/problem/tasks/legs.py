@@ -202,11 +202,12 @@ def longest_step(places: np.ndarray) -> float:
 
 
 def with_legs(
-    mechanism: Mechanism, q: np.ndarray, feet: list[Foot], places: np.ndarray, ranges: np.ndarray
+    mechanism: Mechanism, q: np.ndarray, feet: list[Foot], places: np.ndarray, ranges: np.ndarray, ends: bool = True
 ) -> np.ndarray:  # fmt: skip
     """Configurations (N+1, nq) with the feet's points at places (N+1, K, 3), m, by Newton steps of the legs from q.
 
-    Where legs are too short on the way, the base is lowered: smoothly from the start and back to the end.
+    Where legs are too short on the way, the base is lowered: smoothly from the start and back to the end, which stay
+    as they are if `ends`, else everywhere.
 
     Raises:
         PlannerError: Legs with closed chains or couplings, or that reach their places from no lower base either.
@@ -215,11 +216,12 @@ def with_legs(
         raise PlannerError("gait is for legs without closed chains and coupled joints, expected a [[goal]] without it.")
     found, missing = _bent(mechanism, q, feet, places, ranges)
     left = missing
-    if missing.max() > REACHED and missing[[0, -1]].max() <= REACHED:
-        first, last = np.flatnonzero(missing.max(axis=1) > REACHED)[[0, -1]].tolist()
+    if missing.max() > REACHED and (not ends or missing[[0, -1]].max() <= REACHED):
         share, drop = np.ones(len(q)), 0.0
-        share[:first] = minimum_jerk(np.linspace(0.0, 1.0, first + 1))[0][:-1]
-        share[last + 1 :] = minimum_jerk(np.linspace(1.0, 0.0, len(q) - last))[0][1:]
+        if ends:
+            first, last = np.flatnonzero(missing.max(axis=1) > REACHED)[[0, -1]].tolist()
+            share[:first] = minimum_jerk(np.linspace(0.0, 1.0, first + 1))[0][:-1]
+            share[last + 1 :] = minimum_jerk(np.linspace(1.0, 0.0, len(q) - last))[0][1:]
         for _ in range(LOWERINGS):
             drop += left.max()
             lower = _shifted(mechanism, q, -drop * np.outer(share, feet[0].normal))

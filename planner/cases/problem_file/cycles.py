@@ -1,0 +1,84 @@
+"""`periodic` of a problem file: a gait that goes on, whose start the solver finds (planner.problem.tasks.cycle)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.base.arguments import array
+from planner.base.errors import PlannerError
+from planner.cases.problem_file.tasks import steps_of
+from planner.dynamics import RigidBodyDynamics
+from planner.model.coordinates import coordinates_of_mechanism
+from planner.problem.costs.terms import Cost, SumCost
+from planner.problem.costs.tracking import TrackingCost
+from planner.problem.goals import MIN_TOLERANCES
+from planner.problem.limits import Limits
+from planner.problem.problem_parts import Periodic
+from planner.problem.reaching_cost import staying_cost, with_slip
+from planner.problem.tasks.cycle import Cycle, CycleMotion, cycle_motion, cycle_of
+from planner.solvers.periodic_boundary import PARAMETER
+
+RETURNED = 0.5  # of the default tolerance of a goal: how far from the image of its start a cycle may end
+PASSES = 20  # solves: a trot takes 3 to 6, a bound whose reference falls 12
+GAIN = 3e-6  # of the cost, by an iteration that is worth it: where a cycle begins is told by small differences
+ACTIVATION = 0.01  # of an activation, likewise
+
+
+def cycle_in(table: dict[str, Any], tasked: bool) -> Cycle | None:
+    """The cycle of a table; None where it has none.
+
+    Raises:
+        PlannerError: It is wrong, there is no gait, or a goal besides.
+    """
+    if "periodic" not in table:
+        return None
+    cycle = cycle_of(table["periodic"])
+    if tasked or table.get("goal"):
+        raise PlannerError("there are periodic, whose end is given by its start, and a goal: expected one of them.")
+    if steps_of(table) is None:
+        raise PlannerError(
+            'periodic is a cycle of a gait, expected gait = "trot" or another one, or tables [[phase]], beside it.'
+        )
+    if "time" in table.get("objective", {}):
+        raise PlannerError("the objective has time, and a cycle has a fixed duration: expected another objective.")
+    return cycle
+
+
+def motion_in(
+    table: dict[str, Any], cycle: Cycle, dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, limits: Limits | None
+) -> CycleMotion:
+    """The reference of a table's cycle from a state (nx,) in which the machine stands, in N stages."""
+    steps, ranges = steps_of(table), (limits or Limits(position="off")).position_ranges(dynamics)
+    assert steps is not None  # cycle_in has refused it
+    return cycle_motion(steps, cycle, dynamics, x0, N, ranges)
+
+
+def ends_in(table: dict[str, Any], motion: CycleMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Start and last reference (nx,): those that a solve has found, in the table of its plan, else the motion's."""
+    if table.get(PARAMETER) is None:
+        return motion.states[0], motion.states[-1]
+    start, goal = array(PARAMETER, table[PARAMETER], (2, motion.states.shape[1]))
+    return start, goal
+
+
+def cycle_cost(
+    dynamics: RigidBodyDynamics, x0: np.ndarray, motion: CycleMotion, goal: np.ndarray, weights: dict[str, Any]
+) -> Cost:
+    """The cost of a cycle; its end weighs as at x0 (nx,), where the machine stands, the time to stay there would."""
+    chosen = {**weights, "reference": motion.states}
+    hold, slip = chosen.pop("hold", 0.0), chosen.pop("slip", 0.0)
+    N = len(motion.states) - 1
+    tracking = TrackingCost.joints(dynamics, motion.states[-1], N, **chosen)
+    standing = TrackingCost(tracking.Q, tracking.R, x0, tracking.u_ref, tracking.space)
+    stays = staying_cost(dynamics, standing, hold, 0.0)
+    cost = TrackingCost(stays.Q, stays.R, motion.states, stays.u_ref, stays.space).with_goal(goal)
+    return with_slip(cost, dynamics, slip, x0[None])
+
+
+def periodic_of(dynamics: RigidBodyDynamics, motion: CycleMotion) -> Periodic:
+    """What returns at the end of a cycle: all of the machine."""
+    units = [one.unit for one in coordinates_of_mechanism(dynamics.mechanism)]
+    tolerance = [RETURNED * MIN_TOLERANCES[unit] if unit in MIN_TOLERANCES else ACTIVATION for unit in units]
+    return Periodic(np.array(tolerance), passes=PASSES, image=motion.image)

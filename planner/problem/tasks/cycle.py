@@ -1,0 +1,259 @@
+"""Cycle: a gait that goes on, one cycle of which ends as it began, further along the ground, or half of one, mirrored.
+
+The end of a cycle is the image of its start: the machine `travel` further in the axes of its base, turned about the
+vertical by `turn`; with `mirror` its two sides have changed places, so that the second half of the gait is the first
+one, mirrored (planner.solvers.periodic finds the start).
+
+The reference is the middle of WHOLE cycles of a motion at one speed from rest to rest: by then the centre of mass, a
+pendulum above the feet that stand, has forgotten the ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arguments import array, choice, number, short_repr
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.model.mechanism import Mechanism
+from planner.model.space import exp_quaternion, product
+from planner.model.state_map import StateMap
+from planner.problem.tasks.flight import check_flight_time
+from planner.problem.tasks.gait import Gait, Phase, centres_of, feet_of, height_of, stands_at
+from planner.problem.tasks.legs import Foot, longest_step, over_support, points_of_feet, stepping, with_legs
+from planner.problem.tasks.mirror import UNLIKE, Mirror, asymmetry, base_coordinates, base_dofs, mirror_of
+
+WHOLE = 5  # cycles of the motion of which the middle one is the reference
+AXES = "m along the ground, ahead (the base's x axis) and to the left"
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What a cycle of a gait is to do, or half of one with `mirror`.
+
+    Attributes:
+        travel: m along the ground, in the base's axes at the start: ahead, and to the left.
+        turn: rad, about the vertical.
+        mirror: Whether the machine's sides have changed places at the end.
+    """
+
+    travel: tuple[float, float] = (0.0, 0.0)
+    turn: float = 0.0
+    mirror: bool = False
+
+
+class CycleMotion(NamedTuple):
+    """A cycle of a gait."""
+
+    states: np.ndarray  # (N+1, nx) reference
+    image: StateMap  # From the start of the cycle to its end
+    said: str  # A sentence
+
+
+class _Ground(NamedTuple):
+    """Directions (3,) along the ground: ahead of the base, to its left, and up; m of a cycle."""
+
+    ahead: np.ndarray
+    left: np.ndarray
+    up: np.ndarray
+
+    def displacement(self, cycle: Cycle, share: float) -> np.ndarray:
+        """(3,) m, after a share of a cycle, along an arc where it turns."""
+        turn = share * cycle.turn
+        chord = share * np.sinc(0.5 * turn / np.pi)  # at half of the angle
+        ahead = np.cos(0.5 * turn) * self.ahead + np.sin(0.5 * turn) * self.left
+        left = np.cos(0.5 * turn) * self.left - np.sin(0.5 * turn) * self.ahead
+        return chord * (cycle.travel[0] * ahead + cycle.travel[1] * left)
+
+
+def cycle_of(value: Any) -> Cycle:
+    """A Cycle from a table of its attributes; travel may be a number, ahead.
+
+    Raises:
+        PlannerError: Another type, an unknown key, or a number out of range.
+    """
+    keys = ("travel", "turn", "mirror")
+    if not isinstance(value, Mapping):
+        raise PlannerError(f"periodic is {short_repr(value)}, expected a table of some of: {', '.join(keys)}.")
+    given = {choice("a key of periodic", key, keys): part for key, part in value.items()}
+    travel = given.get("travel", 0.0)
+    if isinstance(travel, (list, tuple)):
+        ahead, left = array(f"travel of periodic, {AXES}", travel, (2,)).tolist()
+    else:
+        ahead, left = number("travel of periodic", travel), 0.0
+    turn, mirror = number("turn of periodic", given.get("turn", 0.0)), given.get("mirror", False)
+    if not isinstance(mirror, bool):
+        raise PlannerError(f"mirror of periodic is {short_repr(mirror)}, expected true or false.")
+    if mirror and turn:
+        raise PlannerError("periodic has mirror and a turn, whose image turns the other way: expected one of them.")
+    return Cycle((ahead, left), turn, mirror)
+
+
+def cycle_motion(
+    gait: Gait, cycle: Cycle, dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, ranges: np.ndarray
+) -> CycleMotion:
+    """The reference of a cycle, or half of one, in N stages.
+
+    Args:
+        gait: Which feet swing when; its turns are shares of a whole cycle, its phases parts of the N stages.
+        cycle: What it is to do.
+        dynamics: The machine.
+        x0: (nx,) a state in which it stands.
+        N: Stages.
+        ranges: (nv, 2) rad or m, of hinges and slides.
+
+    Raises:
+        PlannerError: The machine stands on no foot, has other feet or no base, cannot turn, its legs do not reach
+            their footholds, or it is not, or the gait is not, its own mirror image.
+    """
+    m, space, dt = dynamics.mechanism, dynamics.space, dynamics.dt
+    standing = feet_of(m, x0)
+    ground = _ground(m, x0, standing[0].normal)
+    across = ground.left if cycle.travel == (0.0, 0.0) else np.cross(ground.up, ground.displacement(cycle, 1.0))
+    mirror = mirror_of(m, x0, across / np.linalg.norm(across)) if cycle.mirror else None
+    halves = 2 if cycle.mirror else 1
+    shares = np.arange(-(WHOLE // 2) * halves * N, (WHOLE // 2 + 1) * halves * N + 1) / N
+    rows = np.stack([_displaced(m, x0, ground, cycle, share) for share in shares])
+    dragged = points_of_feet(m, rows[:, : m.nq], standing)[0]
+    feet, h = centres_of(standing, dragged), height_of(m, x0, standing)
+    lift, t, T = gait.lift_of(h), dt * np.arange(len(rows)), dt * halves * N
+    if gait.stride is not None:
+        raise PlannerError("gait has stride and there is periodic, whose travel is that of a cycle: expected one.")
+    swings = _swings(gait, standing, feet, T, mirror)
+    of_foot = np.repeat(np.arange(len(standing)), [len(foot.points) for foot in standing])
+    normals, of_points = np.array([foot.normal for foot in standing])[of_foot], [swings[k] for k in of_foot]
+    places = stepping(dragged, t, normals, of_points, lift, dt)
+    stands = stands_at(t, of_points)
+    _check_flights(m, t, stands, ranges)
+    first = (WHOLE // 2) * halves * N
+    part = slice(first - 1, first + N + 2)  # and a knot on either side, of which velocities are differences
+    q = over_support(m, rows[:, : m.nq], places, stands, normals[0], dt)[part]
+    q = with_legs(m, q, standing, places[part], ranges, ends=False)
+    xs = np.tile(x0, (N + 3, 1))
+    xs[:, : m.nq] = q
+    xs[1:-1, m.velocities] = space.difference(xs[2:], xs[:-2])[:, : m.nv] / (2.0 * dt)
+    xs = xs[1:-1]
+    duty = stands[part][1:-1].mean()
+    said = (
+        f"Gait: {'half a cycle, mirrored,' if cycle.mirror else 'a cycle'} of {dt * N:.3g} s that goes on, feet "
+        f"standing for {duty:.2g} of the time, steps of up to {longest_step(places[first:]):.2g} m, feet lifted by "
+        f"{lift:.2g} m."
+    )
+    image = _displacement(m, dynamics, x0, ground, cycle)
+    if mirror is not None:
+        image = mirror.states.then(space, image)
+        said += _told_asymmetry(dynamics, mirror, xs)
+    return CycleMotion(xs, image, said)
+
+
+def _ground(mechanism: Mechanism, x: np.ndarray, up: np.ndarray) -> _Ground:
+    """Ahead of the base, to its left and up, at a state (nx,)."""
+    at = _quaternion_at(mechanism)
+    w, a, b, c = x[at : at + 4] if at is not None else (1.0, 0.0, 0.0, 0.0)
+    ahead = np.array([1.0 - 2.0 * (b * b + c * c), 2.0 * (a * b + w * c), 2.0 * (a * c - w * b)])
+    ahead -= (ahead @ up) * up
+    if np.linalg.norm(ahead) < 1e-3:
+        raise PlannerError("the base's x axis points up at the start, expected it along the ground with periodic.")
+    ahead /= np.linalg.norm(ahead)
+    return _Ground(ahead, np.cross(up, ahead), up)
+
+
+def _quaternion_at(mechanism: Mechanism) -> int | None:
+    """Where the configuration of a free base has its quaternion; None of another base."""
+    base = base_dofs(mechanism)
+    return int(mechanism.q_address[base - 1]) if base == 6 and mechanism.kind[base - 1] else None
+
+
+def _displaced(mechanism: Mechanism, x: np.ndarray, ground: _Ground, cycle: Cycle, share: float) -> np.ndarray:
+    """A state (nx,) after a share of a cycle, as it is but for where it is."""
+    x, at, move = x.copy(), _quaternion_at(mechanism), ground.displacement(cycle, share)
+    if at is not None:
+        x[at - 3 : at] += move
+        x[at : at + 4] = product(exp_quaternion(share * cycle.turn * ground.up), x[at : at + 4])
+        return x
+    base = base_dofs(mechanism)
+    slides = [i for i in range(base) if not mechanism.kind[i] and not np.any(mechanism.S[i, :3])]
+    axes = np.array([mechanism.S[i, 3:] for i in slides]).reshape(-1, 3).T
+    found = np.linalg.lstsq(axes, move, rcond=None)[0] if slides else np.zeros(0)
+    if cycle.turn or np.linalg.norm(axes @ found - move) > 1e-9:
+        raise PlannerError(
+            "periodic has a travel or a turn that the machine's base cannot make: expected a free joint at its root, "
+            "or travel along the slides there."
+        )
+    x[mechanism.q_address[slides]] += found
+    return x
+
+
+def _displacement(
+    mechanism: Mechanism, dynamics: RigidBodyDynamics, x0: np.ndarray, ground: _Ground, cycle: Cycle
+) -> StateMap:
+    """The displacement of a cycle, as a map of states."""
+    origin = mechanism.at_rest(x0)
+    turned, matrix = np.eye(dynamics.ndx), None
+    if _quaternion_at(mechanism) is not None:
+        matrix = np.array([_rotated(ground.up, cycle.turn, axis) for axis in np.eye(3)]).T
+        for first in (0, mechanism.nv):
+            turned[first : first + 3, first : first + 3] = matrix
+    return StateMap(origin, _displaced(mechanism, origin, ground, cycle, 1.0), turned)
+
+
+def _rotated(axis: np.ndarray, angle: float, v: np.ndarray) -> np.ndarray:
+    """Vector v (3,) turned about a unit axis (3,) by an angle, rad (Rodrigues)."""
+    along = (axis @ v) * axis
+    return along + np.cos(angle) * (v - along) + np.sin(angle) * np.cross(axis, v)
+
+
+def _swings(
+    gait: Gait, standing: list[Foot], feet: np.ndarray, T: float, mirror: Mirror | None
+) -> list[list[tuple[float, float]]]:
+    """Begin and end of each foot's swings, s, in WHOLE cycles of T seconds."""
+    names, links = [foot.name for foot in standing], [foot.link for foot in standing]
+    other = list(range(len(links))) if mirror is None else [links.index(int(mirror.links[link])) for link in links]
+    if gait.phases:
+        part, ends = T / (1 if mirror is None else 2), [phase.until for phase in gait.phases]
+        if not np.isfinite(ends[-1]):
+            ends[-1] = part
+        swapped = {name: names[k] for name, k in zip(names, other, strict=True)}
+        phases = []
+        for k in range(round(WHOLE * T / part)):
+            for end, phase in zip(ends, gait.phases, strict=True):
+                stand = tuple(swapped.get(one, one) for one in phase.stand) if k % 2 else phase.stand
+                phases.append(Phase(k * part + end, stand))
+        return replace(gait, phases=tuple(phases)).swings_of_phases(standing, WHOLE * T)[0]
+    turns = gait.turns(standing, feet)
+    _, duty, lead = gait.times_of(turns)
+    if mirror is not None and not np.allclose((turns[other] - turns) % 1.0, 0.5):
+        raise PlannerError(
+            "mirror is true, and a foot and its mirror image do not swing half a cycle apart in this gait: expected "
+            "no mirror and a whole cycle."
+        )
+    begins = T * (np.arange(-1, WHOLE + 1)[:, None] + lead + turns)  # (cycles, feet) s
+    return [[(float(t), float(t + (1.0 - duty) * T)) for t in column if t > 0.0] for column in begins.T]
+
+
+def _check_flights(mechanism: Mechanism, t: np.ndarray, stands: np.ndarray, ranges: np.ndarray) -> None:
+    """Refuse a flight that the machine cannot make."""
+    edges = np.flatnonzero(np.diff(np.r_[0, ~stands.any(axis=1), 0].astype(int)))
+    for begin, end in edges.reshape(-1, 2).tolist():
+        check_flight_time(mechanism, "the gait", float(t[min(end, len(t) - 1)] - t[begin]), ranges)
+
+
+def _told_asymmetry(dynamics: RigidBodyDynamics, mirror: Mirror, xs: np.ndarray) -> str:
+    """A sentence about how unlike the two sides are.
+
+    Raises:
+        PlannerError: They are too different.
+    """
+    some = xs[np.linspace(0, len(xs) - 1, 5).astype(int)]
+    us = np.zeros((len(some), dynamics.nu))
+    unlike = asymmetry(dynamics, mirror, some, us)
+    if unlike > UNLIKE:
+        raise PlannerError(
+            f"mirror is true, and the machine's sides move differently, by {100 * unlike:.2g} % of what changes in a "
+            f"stage: expected at most {100 * UNLIKE:g} %, or no mirror and a whole cycle."
+        )
+    return f" The machine's sides differ by {100 * unlike:.2g} % in how they move." if unlike > 1e-6 else ""

@@ -1,0 +1,152 @@
+"""The mirror image of a machine in a vertical plane: which joint takes the place of which, and how.
+
+A reflection R, about a plane through a point p, takes the screw (w, v) of a joint, v at p, to (-R w, R v). Joint a is
+the image of joint b if the reflected screws of a are combinations of those of b, and the joints that a carries are
+the images of those that b carries. A joint in the plane may be its own image; another one goes first, so that legs
+that lie in the plane of a planar machine change places.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.base.errors import PlannerError
+from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.joint_forces import actuator_moments
+from planner.dynamics.kinematics import LinkPlaces
+from planner.model.mechanism import Mechanism
+from planner.model.space import cross
+from planner.model.state_map import StateMap
+
+MATCH = 1e-3  # m and rad per rad, per m: by which the screws of two sides may differ, as files are written
+UNLIKE = 0.05  # of the largest change in a stage: by which two sides may move differently
+
+
+class Mirror(NamedTuple):
+    """The mirror image of a machine."""
+
+    states: StateMap
+    controls: np.ndarray  # (nu, nu)
+    links: np.ndarray  # (nv,) the link that each one takes the place of
+
+
+def mirror_of(mechanism: Mechanism, x: np.ndarray, normal: np.ndarray) -> Mirror:
+    """The mirror image about a plane through the base of a state (nx,), its joints as in the file's qpos0.
+
+    Args:
+        mechanism: The machine.
+        x: The base is where it is here, upright.
+        normal: (3,) of the plane, horizontal.
+
+    Raises:
+        PlannerError: A joint or an actuator has no image.
+    """
+    nv, na = mechanism.nv, mechanism.na
+    origin, joints = mechanism.at_rest(x), base_coordinates(mechanism)
+    origin[joints : mechanism.nq] = mechanism.qpos0[joints:]
+    origin[mechanism.nq + nv :] = 0.0
+    places = LinkPlaces(mechanism, origin[None, : mechanism.nq])
+    angular, linear = places.screws[0, :, :3], places.screws[0, :, 3:]
+    root = next(k for k, links in enumerate(mechanism.joint_links) if mechanism.parent[links.start] < 0)
+    point = places.T[0, mechanism.joint_links[root].stop - 1, :3, 3]
+    screws = np.hstack([angular, linear + cross(angular, point - places.origin[0])])
+    R = np.eye(3) - 2.0 * np.outer(normal, normal)
+    reflected = np.hstack([-screws[:, :3] @ R, screws[:, 3:] @ R])
+    S, links = np.zeros((nv, nv)), np.full(nv, -1)
+    carried = _carried(mechanism)
+    for a in carried[-1]:
+        if not _matched(mechanism, carried, screws, reflected, a, a, S, links):
+            name = _first_unmatched(mechanism, carried, links) or mechanism.joint_names[a]
+            raise PlannerError(
+                f"mirror is true, and joint {name!r} has no mirror image in the machine's other half: expected a "
+                "machine with two equal sides, or no mirror and a whole cycle."
+            )
+    moments = actuator_moments(mechanism, origin[: mechanism.nq])
+    images, C = moments @ S.T, np.zeros((mechanism.nu, mechanism.nu))
+    for k, image in enumerate(images):
+        away = [np.abs(image - sign * moments).max(axis=1) for sign in (1.0, -1.0)]
+        side, j = divmod(int(np.argmin(np.concatenate(away))), mechanism.nu)
+        if away[side][j] > MATCH * np.abs(image).max() or C[j].any():
+            raise PlannerError(
+                f"mirror is true, and actuator {mechanism.actuators.names[k]!r} has no mirror image: expected a "
+                "machine with two equal sides, or no mirror and a whole cycle."
+            )
+        C[j, k] = 1.0 - 2.0 * side
+    act = mechanism.actuators.activation
+    A = np.zeros((na, na))
+    for j, k in np.argwhere(C != 0.0):
+        if act[k] >= 0:
+            A[act[j], act[k]] = C[j, k]
+    whole = np.zeros((2 * nv + na, 2 * nv + na))
+    whole[:nv, :nv] = whole[nv : 2 * nv, nv : 2 * nv] = S
+    whole[2 * nv :, 2 * nv :] = A
+    return Mirror(StateMap(origin, origin, whole), C, links)
+
+
+def asymmetry(dynamics: RigidBodyDynamics, mirror: Mirror, xs: np.ndarray, us: np.ndarray) -> float:
+    """How differently the machine and its image move from states (K, nx) with controls (K, nu): share of the change."""
+    space = dynamics.space
+    ends = mirror.states.apply(space, dynamics.step(xs, us))
+    starts = mirror.states.apply(space, xs)
+    images = dynamics.step(starts, us @ mirror.controls.T)
+    change = np.abs(space.difference(ends, starts)).max()
+    return float(np.abs(space.difference(ends, images)).max() / max(change, 1e-12))
+
+
+def base_dofs(mechanism: Mechanism) -> int:
+    """How many of the first degrees of freedom carry all of the others, without an actuator: those of the base."""
+    parent, driven = np.asarray(mechanism.parent), mechanism.directly_actuated
+    k = 0
+    while k < mechanism.nv and not driven[k] and parent[k] == k - 1 and np.all(parent[k + 1 :] >= k):
+        k += 1
+    return k
+
+
+def base_coordinates(mechanism: Mechanism) -> int:
+    """How many of the first coordinates of qpos are those of the base."""
+    last = base_dofs(mechanism) - 1
+    return 0 if last < 0 else int(mechanism.q_address[last]) + (4 if mechanism.kind[last] else 1)
+
+
+def _carried(mechanism: Mechanism) -> dict[int, list[int]]:
+    """The joints that each joint carries, and -1 the world."""
+    of_link = {i: k for k, links in enumerate(mechanism.joint_links) for i in range(links.start, links.stop)}
+    found: dict[int, list[int]] = {k: [] for k in range(-1, len(mechanism.joint_links))}
+    for k, links in enumerate(mechanism.joint_links):
+        parent = int(mechanism.parent[links.start])
+        found[-1 if parent < 0 else of_link[parent]].append(k)
+    return found
+
+
+def _matched(
+    mechanism: Mechanism, carried: dict[int, list[int]], screws: np.ndarray, reflected: np.ndarray, a: int, b: int,
+    S: np.ndarray, links: np.ndarray,
+) -> bool:  # fmt: skip
+    """Whether joint b is the image of joint a, with all that they carry; fills S (nv, nv) and links (nv,)."""
+    of, at = mechanism.joint_links[a], mechanism.joint_links[b]
+    if of.stop - of.start != at.stop - at.start:
+        return False
+    B = np.linalg.lstsq(screws[at].T, reflected[of].T, rcond=None)[0]  # columns: of a, in those of b
+    if np.abs(screws[at].T @ B - reflected[of].T).max() > MATCH:
+        return False
+    U, _, Vt = np.linalg.svd(B)
+    S[at, of], links[of] = U @ Vt, np.arange(at.start, at.stop)
+    left = list(carried[b])
+    for c in carried[a]:
+        for d in sorted(left, key=lambda d: d == c):
+            if _matched(mechanism, carried, screws, reflected, c, d, S, links):
+                left.remove(d)
+                break
+        else:
+            links[of] = -1
+            S[:, of] = 0.0
+            return False
+    return not left
+
+
+def _first_unmatched(mechanism: Mechanism, carried: dict[int, list[int]], links: np.ndarray) -> str:
+    """The name of a joint without an image."""
+    lost = [k for k, at in enumerate(mechanism.joint_links) if links[at.start] < 0 and not carried[k]]
+    return mechanism.joint_names[lost[0]] if lost else ""
