@@ -18,6 +18,7 @@ import numpy as np
 
 from planner.base.arguments import choice
 from planner.model.coordinates import coordinates_of
+from planner.model.space import space_of
 from planner.problem.costs.terms import GoalSpec, SumCost
 from planner.problem.problem import Problem
 
@@ -85,7 +86,9 @@ def missed_goal_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
 
     Problems with their own rule of success are judged by the proof alone.
     """
-    if problem.periodic is not None or (problem.requirements is not None and problem.requirements.goal is not None):
+    if problem.periodic is not None:
+        return _unreturned(problem, xs)
+    if problem.requirements is not None and problem.requirements.goal is not None:
         return ""
     goals = [one for one in goals_of(problem, xs) if np.isfinite(one.tolerance) and one.tolerance > 0.0]
     over = {one.name: one.miss(t, xs) / one.tolerance for one in goals}
@@ -96,6 +99,21 @@ def missed_goal_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
     return (
         f"{worst.name} is missed by {miss:.3g} {worst.unit}, and {worst.tolerance:.3g} pass; raise its weight, the "
         "duration or the limits and constraints that keep the motion off"
+    )
+
+
+def _unreturned(problem: Problem, xs: np.ndarray) -> str:
+    """A message about the component of a periodic motion (N+1, nx) that returns least; "" where all do."""
+    periodic, space = problem.periodic, space_of(problem.dynamics)
+    assert periodic is not None  # its caller has asked
+    gap = np.abs(periodic.closure_error(space, xs))
+    if not np.isfinite(xs).all() or np.all(gap <= periodic.tolerance):
+        return ""
+    i = int(np.argmax(gap / periodic.tolerance))
+    one = coordinates_of(problem.dynamics)[i]
+    return (
+        f"{one.name} ends {gap[i]:.3g} {one.unit} from where the cycle began, and {periodic.tolerance[i]:.3g} pass; "
+        "allow more passes, another duration or a shorter travel"
     )
 
 

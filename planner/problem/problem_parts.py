@@ -162,5 +162,5 @@ class Periodic:
     def from_dict(cls, table: dict[str, Any]) -> Periodic:
         """The Periodic of a table that to_dict made."""
         tolerance = np.array([np.inf if value is None else value for value in table["tolerance"]])
-        image = StateMap.from_dict(table["image"], len(tolerance)) if "image" in table else None
+        image = StateMap.from_dict(table["image"]) if "image" in table else None
         return cls(**{**table, "tolerance": tolerance, "image": image})

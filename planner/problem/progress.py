@@ -45,7 +45,7 @@ class Status(StrEnum):
     )
     NOT_OPTIMAL = (
         "The motion comes back to where it began, but another start and end of it would cost less; solve with "
-        "step='newton', which optimizes them."
+        "step='newton', which optimizes them, or with more passes."
     )
     GOAL_MISSED = "The solve converged, but a goal is missed by more than its tolerance."
     UNRESOLVED = (

@@ -278,7 +278,7 @@ def _unjudged(plan: Plan, problem: Problem) -> tuple[str, ...]:
     soft = sum(not math.isfinite(one.tolerance) for one in goals)
     if soft:
         phrases.append(f"{soft} of {len(goals)} goals not judged")
-    if not unjudged and not goals:
+    if not unjudged and not goals and problem.periodic is None:
         phrases.append("no goal was asked for")
     return tuple(phrases)
 

@@ -220,7 +220,9 @@ def response(plan: Plan) -> BoundarySensitivity:
     space = space_of(problem.dynamics)
     error = space.difference(plan.xs[-1], tracking(problem).x_ref[-1])
     gap, costate = periodic.closure_error(space, plan.xs), lq.costates(A, model)[0]
-    return BoundarySensitivity(plan, closes, W, periodic.matrix, gap, costate, error, W @ error, sweep.P[0], Phi, G, sweep.K, F)
+    return BoundarySensitivity(
+        plan, closes, W, periodic.matrix, gap, costate, error, W @ error, sweep.P[0], Phi, G, sweep.K, F
+    )
 
 
 def _free(problem: Problem, plan: Plan, B: np.ndarray, gradient: np.ndarray) -> np.ndarray:

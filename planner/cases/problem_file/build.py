@@ -59,7 +59,15 @@ from planner.base.data_files import check_file, problem_files, read_table
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.cycles import GAIN as GAIN_IN_CYCLE
-from planner.cases.problem_file.cycles import cycle_cost, cycle_in, ends_in, motion_in, periodic_of
+from planner.cases.problem_file.cycles import (
+    cycle_cost,
+    cycle_in,
+    ends_in,
+    motion_in,
+    periodic_of,
+    unrolled,
+    without_cycles,
+)
 from planner.cases.problem_file.feasibility_checks import (
     check_goal_controllable,
     check_goal_differs,
@@ -108,6 +116,7 @@ from planner.problem.problem import Problem
 from planner.problem.problem_parts import PROBLEM_FILE, Recipe
 from planner.problem.reaching_cost import straight_reference, weighed
 from planner.solvers.free_time import solve_for
+from planner.solvers.options import single_start
 from planner.solvers.periodic import solve_periodic
 from planner.solvers.periodic_boundary import PARAMETER
 from planner.solvers.slq import solve
@@ -133,11 +142,15 @@ class ProblemFile(NamedTuple):
     durations: list[float] | None  # the shortest and the longest, s, for an objective with time
     notes: tuple[str, ...] = ()  # sentences about contacts, and about what was done to start and goal
     work: float | None = None  # of the run
+    cycles: int = 1  # of a periodic problem, which is of one, that the plan has
 
     def solved(self, callback: Callable[[Any], object], **options: Any) -> Plan:
         """The plan, by the solver that the problem asks for; options are those of solve()."""
         if self.problem.periodic is not None:
-            return solve_periodic(self.problem, callback=callback, **options)
+            plan = solve_periodic(self.problem, callback=callback, **options)
+            if self.cycles == 1 or not plan.converged:
+                return plan
+            return solve(unrolled(self.problem, plan, self.cycles), **single_start(options))
         if self.objective is None:
             return solve(self.problem, callback=callback, **options)
         return solve_for(self.problem, self.objective, durations=self.durations, callback=callback, **options)
@@ -161,6 +174,7 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     path = Path(path)
     table = table | {name: value for name, value in instead.items() if value is not None}
     check_file(table, KEYS, TABLES, str(path))
+    table, cycles = without_cycles(table)
     table = with_files(with_defaults(with_model_limits(table), str(path)), path.parent)
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {short_repr(table['model'])}, expected the name of an MJCF or URDF file.")
@@ -174,7 +188,7 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     notes = tuple(reasons[key] for key in TOLD if key in reasons)
     return ProblemFile(
         problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes,
-        given.get("work"),
+        given.get("work"), cycles,
     )  # fmt: skip
 
 
@@ -328,24 +342,28 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         passed = ", ".join(f"{way.task.goals[k].time:.3g}" for k in way.waypoints)
         reasons["goal"] = f"Via points without times are passed at {passed} s, in proportion to the way of the joints."
     along = None if way is None else guess_of(way, dynamics, x0)
-    steps, cyclic = steps_of(table), None
+    steps, cyclic, paths = steps_of(table), None, None
     if cycle is not None:
         cyclic = motion_in(table, cycle, dynamics, x0, N, limits)
         along, reasons["gait"] = ReferenceTrajectory(None, cyclic.states, direct=True, walks=True), cyclic.said
         goal = cyclic.image.apply(dynamics.space, x0)
+        paths = 0.5 * path_lengths(dynamics, cyclic.repeated(dynamics.space, 2).states)  # the same on either side
     elif way is None and steps is not None:
         ranges = (limits or Limits(position="off")).position_ranges(dynamics)
         straight = straight_reference(dynamics, x0, goal, N)
         rows, reasons["gait"] = steps.motion(mechanism, straight, dynamics.dt, ranges)
-        along = ReferenceTrajectory(None, rows, direct=True, walks=True)
+        along, paths = ReferenceTrajectory(None, rows, direct=True, walks=True), path_lengths(dynamics, rows)
     elif way is not None and way.gait:
         reasons["gait"] = way.gait
-    table = _resolved(table, dynamics, x0, goal, reasons, way, limits, along, ramp)
+    table = _resolved(table, dynamics, x0, goal, reasons, way, limits, paths, ramp)
     weights = table[RESOLVED]["weights"]
     wanted = None
-    if cyclic is not None:
+    if cyclic is not None and cycle is not None:
         start, end = ends_in(table, cyclic)
         table = table | {PARAMETER: [start.tolist(), end.tolist()]}
+        for _ in range(cycle.cycles - 1):
+            end, along = cyclic.image.apply(dynamics.space, end), None
+        cyclic = cyclic.repeated(dynamics.space, cycle.cycles)
         cost, x0 = cycle_cost(dynamics, x0, cyclic, end, weights), start
     elif way is None:
         straight = stands_on_ground(mechanism) and "position" not in table["weights"]
@@ -362,7 +380,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         limits=limits, constraints=kept, goal_specs=wanted,
         tolerance=None if tasked else table["tolerance"], expected_reduction_tolerance=DECREASE,
         periodic=None if cyclic is None else periodic_of(dynamics, cyclic),
-        actual_reduction_tolerance=GAIN_IN_CYCLE if cyclic is not None else GAIN if mechanism.contacts else DECREASE
+        actual_reduction_tolerance=GAIN_IN_CYCLE if cycle is not None and cycle.cycles == 1 else GAIN if mechanism.contacts else DECREASE
         if mechanism.has_closed_chains else 0.0,
     )  # fmt: skip
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
@@ -383,9 +401,12 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
 
 def _resolved(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
-    way: ResolvedTask | None, limits: Limits | None, along: ReferenceTrajectory | None, ramp: float | None,
+    way: ResolvedTask | None, limits: Limits | None, paths: np.ndarray | None, ramp: float | None,
 ) -> dict[str, Any]:  # fmt: skip
-    """The table with what was chosen by itself: weights and their reasons. A stored plan has them already."""
+    """The table with what was chosen by itself: weights and their reasons. A stored plan has them already.
+
+    `paths`: (nv,) rad or m, the way of each degree of freedom where feet step and no task says more; else None.
+    """
     if RESOLVED in table:
         return table
     given = table["weights"]
@@ -395,10 +416,10 @@ def _resolved(
         default = default_weights(
             dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], named="objective" in table,
             stays="position" not in given, jerk=table.get("objective", {}).get("jerk", 0.0),
-            displacement=None if along is None else path_lengths(dynamics, along.states),
+            displacement=paths,
             carried_along=carried_along(table["goal"], dynamics),
         )  # fmt: skip
-        default = default if along is None else walking_weights(default)
+        default = default if paths is None else walking_weights(default)
     filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
     waypoints = {} if way is None or not way.waypoints else {WAYPOINTS: list(way.waypoints)}

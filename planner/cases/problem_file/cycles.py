@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,13 @@ from planner.problem.costs.terms import Cost, SumCost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.limits import Limits
+from planner.problem.plan import Plan
+from planner.problem.problem import Problem
 from planner.problem.problem_parts import Periodic
 from planner.problem.reaching_cost import staying_cost, with_slip
 from planner.problem.tasks.cycle import Cycle, CycleMotion, cycle_motion, cycle_of
-from planner.solvers.periodic_boundary import PARAMETER
+from planner.solvers.gains import feedback_rollout
+from planner.solvers.periodic_boundary import PARAMETER, ends_of
 
 RETURNED = 0.5  # of the default tolerance of a goal: how far from the image of its start a cycle may end
 PASSES = 20  # solves: a trot takes 3 to 6, a bound whose reference falls 12
@@ -53,6 +57,37 @@ def motion_in(
     steps, ranges = steps_of(table), (limits or Limits(position="off")).position_ranges(dynamics)
     assert steps is not None  # cycle_in has refused it
     return cycle_motion(steps, cycle, dynamics, x0, N, ranges)
+
+
+def unrolled(problem: Problem, plan: Plan, cycles: int) -> Problem:
+    """The problem of so many cycles, one after another, of a file's problem of one; starts from the plan of that one.
+
+    Each cycle is the image of the one before; the gains keep the rollout of all of them on their way.
+    """
+    assert problem.recipe is not None  # of a file
+    assert plan.problem is not None  # solve_periodic made it
+    periodic = plan.problem.periodic
+    assert periodic is not None  # likewise
+    assert periodic.image is not None  # of a file
+    table = problem.parameters["periodic"] | {"cycles": cycles}
+    ends = [end.tolist() for end in ends_of(plan.problem)]
+    whole = problem.recipe.rebuilt(**{"periodic": table, PARAMETER: ends})
+    us, xs, K, S = [plan.us], [plan.xs], [plan.K], periodic.matrix
+    C = np.eye(plan.nu) if periodic.image.controls is None else periodic.image.controls
+    for _ in range(cycles - 1):
+        us.append(us[-1] @ C.T)
+        xs.append(periodic.image.apply(plan.space, xs[-1][-plan.N :]))
+        K.append(C @ K[-1] @ S.T)
+    us = feedback_rollout(whole, np.concatenate(us), np.concatenate(K), np.concatenate(xs))[1]
+    return replace(whole, us=us)
+
+
+def without_cycles(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
+    """A file's table of a single cycle, and how many it asks for."""
+    if "periodic" not in table:
+        return table, 1
+    cycles = cycle_of(table["periodic"]).cycles
+    return table | {"periodic": {key: part for key, part in table["periodic"].items() if key != "cycles"}}, cycles
 
 
 def ends_in(table: dict[str, Any], motion: CycleMotion) -> tuple[np.ndarray, np.ndarray]:

@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import array, choice, number, short_repr
+from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.model.mechanism import Mechanism
-from planner.model.space import exp_quaternion, product
+from planner.model.space import StateSpace, exp_quaternion, product
 from planner.model.state_map import StateMap
 from planner.problem.tasks.flight import check_flight_time
 from planner.problem.tasks.gait import Gait, Phase, centres_of, feet_of, height_of, stands_at
@@ -39,11 +39,13 @@ class Cycle:
         travel: m along the ground, in the base's axes at the start: ahead, and to the left.
         turn: rad, about the vertical.
         mirror: Whether the machine's sides have changed places at the end.
+        cycles: How many of them a plan has, one after another.
     """
 
     travel: tuple[float, float] = (0.0, 0.0)
     turn: float = 0.0
     mirror: bool = False
+    cycles: int = 1
 
 
 class CycleMotion(NamedTuple):
@@ -52,6 +54,14 @@ class CycleMotion(NamedTuple):
     states: np.ndarray  # (N+1, nx) reference
     image: StateMap  # From the start of the cycle to its end
     said: str  # A sentence
+
+    def repeated(self, space: StateSpace, cycles: int) -> CycleMotion:
+        """So many cycles, one after another; each is the image of the one before."""
+        states, image = [self.states[:1]], self.states[1:]
+        for k in range(cycles):
+            image = self.image.apply(space, image) if k else image
+            states.append(image)
+        return CycleMotion(np.concatenate(states), self.image.power(space, cycles), self.said)
 
 
 class _Ground(NamedTuple):
@@ -76,7 +86,7 @@ def cycle_of(value: Any) -> Cycle:
     Raises:
         PlannerError: Another type, an unknown key, or a number out of range.
     """
-    keys = ("travel", "turn", "mirror")
+    keys = ("travel", "turn", "mirror", "cycles")
     if not isinstance(value, Mapping):
         raise PlannerError(f"periodic is {short_repr(value)}, expected a table of some of: {', '.join(keys)}.")
     given = {choice("a key of periodic", key, keys): part for key, part in value.items()}
@@ -90,7 +100,7 @@ def cycle_of(value: Any) -> Cycle:
         raise PlannerError(f"mirror of periodic is {short_repr(mirror)}, expected true or false.")
     if mirror and turn:
         raise PlannerError("periodic has mirror and a turn, whose image turns the other way: expected one of them.")
-    return Cycle((ahead, left), turn, mirror)
+    return Cycle((ahead, left), turn, mirror, count("cycles of periodic", given.get("cycles", 1)))
 
 
 def cycle_motion(
@@ -145,7 +155,7 @@ def cycle_motion(
     )
     image = _displacement(m, dynamics, x0, ground, cycle)
     if mirror is not None:
-        image = mirror.states.then(space, image)
+        image = mirror.image.then(space, image)
         said += _told_asymmetry(dynamics, mirror, xs)
     return CycleMotion(xs, image, said)
 

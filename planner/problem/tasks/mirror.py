@@ -27,8 +27,7 @@ UNLIKE = 0.05  # of the largest change in a stage: by which two sides may move d
 class Mirror(NamedTuple):
     """The mirror image of a machine."""
 
-    states: StateMap
-    controls: np.ndarray  # (nu, nu)
+    image: StateMap
     links: np.ndarray  # (nv,) the link that each one takes the place of
 
 
@@ -82,15 +81,15 @@ def mirror_of(mechanism: Mechanism, x: np.ndarray, normal: np.ndarray) -> Mirror
     whole = np.zeros((2 * nv + na, 2 * nv + na))
     whole[:nv, :nv] = whole[nv : 2 * nv, nv : 2 * nv] = S
     whole[2 * nv :, 2 * nv :] = A
-    return Mirror(StateMap(origin, origin, whole), C, links)
+    return Mirror(StateMap(origin, origin, whole, C), links)
 
 
 def asymmetry(dynamics: RigidBodyDynamics, mirror: Mirror, xs: np.ndarray, us: np.ndarray) -> float:
     """How differently the machine and its image move from states (K, nx) with controls (K, nu): share of the change."""
     space = dynamics.space
-    ends = mirror.states.apply(space, dynamics.step(xs, us))
-    starts = mirror.states.apply(space, xs)
-    images = dynamics.step(starts, us @ mirror.controls.T)
+    ends = mirror.image.apply(space, dynamics.step(xs, us))
+    starts = mirror.image.apply(space, xs)
+    images = dynamics.step(starts, mirror.image.images_of_controls(us))
     change = np.abs(space.difference(ends, starts)).max()
     return float(np.abs(space.difference(ends, images)).max() / max(change, 1e-12))
 

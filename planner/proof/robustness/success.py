@@ -4,6 +4,8 @@ The machine's own rule where its requirements have one, else the problem's goals
 
     goals       every goal is missed by at most five times its tolerance: a machine that differs from the planned one
                 cannot meet the tolerance of the planned one
+    periodic    every position, and every velocity that no actuator drives, is off the plan's end by at most five times
+                the least default tolerance of a goal: a leg that lands a little early has another velocity
     no goal     every coordinate ends within 10 % of its own range of motion of the plan's end; a coordinate that moves
                 little, within 10 % of the largest range of its unit.
 
@@ -19,7 +21,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.problem.goals import GoalCheck, between, goals_of
+from planner.model.capabilities import capabilities_of
+from planner.model.coordinates import coordinates_of
+from planner.problem.goals import MIN_TOLERANCES, GoalCheck, between, goals_of
 from planner.problem.plan import Plan
 from planner.proof.error_scales import ranges_of_motion
 
@@ -141,7 +145,26 @@ def rule_of(plan: Plan, tolerances: float = GOAL_TOLERANCES) -> SuccessRule:
         return SuccessRule("by its own rule", own.success)
     if any(one.times is not None for one in goals):
         return replace(_on_the_way(plan, goals, tolerances), most=math.nan)
-    return within_goals(goals, tolerances) if goals else near
+    if goals:
+        return within_goals(goals, tolerances)
+    mechanism = None if plan.problem is None else capabilities_of(plan.problem.dynamics).mechanism
+    return near if mechanism is None or plan.problem.periodic is None else _goes_on(plan, tolerances)  # pyright: ignore
+
+
+def _goes_on(plan: Plan, tolerances: float) -> SuccessRule:
+    """The rule of a cycle of a gait, which ends such that it can go on."""
+    assert plan.problem is not None  # its caller has asked
+    able = capabilities_of(plan.problem.dynamics)
+    names = coordinates_of(plan.problem.dynamics)
+    nv = len(able.unactuated)
+    most = np.full(len(names), np.inf)
+    for i in (*range(nv), *(nv + np.flatnonzero(able.unactuated))):
+        most[i] = tolerances * MIN_TOLERANCES[names[i].unit]
+
+    def succeeds(ends: np.ndarray) -> np.ndarray:
+        return np.all(np.abs(plan.space.difference(ends, plan.xs[-1])) <= most, axis=1)
+
+    return SuccessRule(f"ends within {tolerances:g} tolerances of where the cycle goes on", succeeds)
 
 
 def _on_the_way(plan: Plan, goals: Sequence[GoalCheck], tolerances: float) -> SuccessRule:
