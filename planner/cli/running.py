@@ -252,7 +252,7 @@ def _run(
                 drawn = BackgroundRender(proof, folder.path, folder.finished, console, looks, arguments.transparent)
                 films = drawing.enter_context(drawn)
             proof = results.completed(
-                proof, arguments.rollouts, console, missing=_missing(plan, budget), partial=folder.path / ROLLOUTS,
+                proof, arguments.rollouts, console, missing=_missing(plan, proof, budget), partial=folder.path / ROLLOUTS,
                 budget=min(MAX_ROLLOUT_SECONDS, budget.seconds_left), executor=executor,
             )  # fmt: skip
             results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)
@@ -285,9 +285,9 @@ def _refinement_of(row: dict[str, Any]) -> Refinement:
     return Refinement(**known)
 
 
-def _missing(plan: Plan, budget: WorkBudget) -> str:
+def _missing(plan: Plan, proof: Proof, budget: WorkBudget) -> str:
     """Why a run does not measure what a plan bears, which can take minutes of a motion that diverges; or ""."""
-    if not plan.success:
+    if not (plan.success or proof.passed):
         return "the solve did not succeed; planner prove measures it"
     needed = 0.0 if plan.problem is None else MEASURED_AFTER * work_of_proof(plan.problem)
     return "no work was left; planner prove measures it" if budget.exhausted or budget.left < needed else ""

@@ -43,11 +43,12 @@ PARAMETER = "ends"
 
 SUFFICIENT = 0.1
 """Lower limit of the actual over the predicted reduction of the merit of an accepted step."""
+CLOSED = 0.5
+"""The same of the closure error, for a step that only closes it."""
 _DAMPINGS = (0.0, *(10.0 ** (0.5 * np.arange(-4, 9))).tolist())  # mu, relative to the final weight
-_PARTS = (0.5, 0.25, 0.125, 0.0625)  # fractions of the closure error to close if the full step is rejected
-STEPS = (*((mu, 1.0) for mu in _DAMPINGS), *((_DAMPINGS[-1], part) for part in _PARTS))
-"""Damping and fraction of the steps that are tried one after another."""
-ONLY_CLOSING = len(_DAMPINGS) - 1
+STEPS = (*((mu, 1.0) for mu in _DAMPINGS), *((np.inf, 0.5**k) for k in range(8)))
+"""Damping, and fraction of the closure error that is closed, of the steps that are tried one after another."""
+ONLY_CLOSING = len(_DAMPINGS)  # the first step that only closes
 MERIT_FACTOR = 2.0  # of the largest multiplier: the weight of the closure error in the merit
 _SINGULAR = 1e-10  # smallest singular value, relative to the largest
 
@@ -85,7 +86,8 @@ class BoundarySensitivity(NamedTuple):
     F: np.ndarray  # (N, nu, ndx) d u / d r
 
     def step(self, mu: float, part: float = 1.0) -> BoundaryStep:
-        """The step damped by mu, which closes a fraction `part` of the closure error."""
+        """The step damped by mu, inf for none in the null space, which closes a fraction `part` of the closure error.
+        """
         c, m, I = self.closes, len(self.closes), np.eye(len(self.W))
         scale = self._scale  # scales steps to sqrt(unit of J)
         both = np.r_[c, len(I) + c]
@@ -99,7 +101,9 @@ class BoundarySensitivity(NamedTuple):
         least = -Vt[:m].T @ ((U.T @ (part * scale * self.gap[c])) / s)
         Z = Vt[m:].T
         pull, along = Z.T @ (g + H @ least), Z.T @ H @ Z
-        w = -np.linalg.lstsq(along + mu * np.eye(m), pull, rcond=_SINGULAR)[0]
+        w = np.zeros(m)
+        if np.isfinite(mu):
+            w = -np.linalg.lstsq(along + mu * np.eye(m), pull, rcond=_SINGULAR)[0]
         change = np.zeros(2 * len(I))
         change[both] = shrink * (least + Z @ w)
         return BoundaryStep(change[: len(I)], change[len(I) :], float(-(pull @ w) - 0.5 * w @ along @ w))
@@ -245,6 +249,9 @@ class BoundaryTrial(NamedTuple):
 def improved_boundary(found: BoundarySensitivity, first: int = 0) -> BoundaryTrial | None:
     """The first of STEPS whose rollout lowers the merit by SUFFICIENT of what the LQ problem predicts, or None.
 
+    Of steps that only close the closure error also one that closes CLOSED of what it is to (a filter, N&W 15.4): of
+    unresolved motions, costs of nearby rollouts are no guide.
+
     Args:
         found: The sensitivity at the last plan.
         first: The first of STEPS that is tried, from ONLY_CLOSING on only to close the closure error.
@@ -265,8 +272,10 @@ def improved_boundary(found: BoundarySensitivity, first: int = 0) -> BoundaryTri
         if not np.isfinite(cost):
             continue
         xs = rollout_states(new.dynamics, new.x0, us)
-        merit = cost - tracking(new).final_cost(xs[-1]) + penalty * found.size(periodic.closure_error(space, xs))
-        if merit <= now + SUFFICIENT * min(found.predicted_merit(step, part, penalty) - now, 0.0):
+        size = found.size(periodic.closure_error(space, xs))
+        merit = cost - tracking(new).final_cost(xs[-1]) + penalty * size
+        lower = merit <= now + SUFFICIENT * min(found.predicted_merit(step, part, penalty) - now, 0.0)
+        if lower or (k >= ONLY_CLOSING and size <= (1.0 - CLOSED * part) * found.size(found.gap)):
             return BoundaryTrial(replace(new, us=us), k, penalty, step.decrease)
     return None
 

@@ -379,7 +379,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, constraints=kept, goal_specs=wanted,
         tolerance=None if tasked else table["tolerance"], expected_reduction_tolerance=DECREASE,
-        periodic=None if cyclic is None else periodic_of(dynamics, cyclic),
+        periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic, cycle.cycles),
         actual_reduction_tolerance=GAIN_IN_CYCLE if cycle is not None and cycle.cycles == 1 else GAIN if mechanism.contacts else DECREASE
         if mechanism.has_closed_chains else 0.0,
     )  # fmt: skip

@@ -73,7 +73,7 @@ def unrolled(problem: Problem, plan: Plan, cycles: int) -> Problem:
     ends = [end.tolist() for end in ends_of(plan.problem)]
     whole = problem.recipe.rebuilt(**{"periodic": table, PARAMETER: ends})
     us, xs, K, S = [plan.us], [plan.xs], [plan.K], periodic.matrix
-    C = np.eye(plan.nu) if periodic.image.controls is None else periodic.image.controls
+    C = np.eye(plan.us.shape[1]) if periodic.image.controls is None else periodic.image.controls
     for _ in range(cycles - 1):
         us.append(us[-1] @ C.T)
         xs.append(periodic.image.apply(plan.space, xs[-1][-plan.N :]))
@@ -112,8 +112,8 @@ def cycle_cost(
     return with_slip(cost, dynamics, slip, x0[None])
 
 
-def periodic_of(dynamics: RigidBodyDynamics, motion: CycleMotion) -> Periodic:
-    """What returns at the end of a cycle: all of the machine."""
+def periodic_of(dynamics: RigidBodyDynamics, motion: CycleMotion, cycles: int) -> Periodic:
+    """What returns at the end of so many cycles: all of the machine, within a tolerance for each of them."""
     units = [one.unit for one in coordinates_of_mechanism(dynamics.mechanism)]
     tolerance = [RETURNED * MIN_TOLERANCES[unit] if unit in MIN_TOLERANCES else ACTIVATION for unit in units]
-    return Periodic(np.array(tolerance), passes=PASSES, image=motion.image)
+    return Periodic(cycles * np.array(tolerance), passes=PASSES, image=motion.image)
