@@ -251,8 +251,9 @@ def _run(
                 looks = checked_looks(arguments, plan.twin)
                 drawn = BackgroundRender(proof, folder.path, folder.finished, console, looks, arguments.transparent)
                 films = drawing.enter_context(drawn)
+            missing = _missing(plan, proof, budget)
             proof = results.completed(
-                proof, arguments.rollouts, console, missing=_missing(plan, proof, budget), partial=folder.path / ROLLOUTS,
+                proof, arguments.rollouts, console, missing=missing, partial=folder.path / ROLLOUTS,
                 budget=min(MAX_ROLLOUT_SECONDS, budget.seconds_left), executor=executor,
             )  # fmt: skip
             results.write_proof(plan, proof, folder.path, digest, fixes, path, budget)

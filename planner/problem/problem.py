@@ -14,6 +14,7 @@ from planner.base.errors import PlannerError
 from planner.base.measured import Section
 from planner.dynamics import Dynamics, RigidBodyDynamics
 from planner.dynamics.assembly import check_assembled
+from planner.model.coordinates import coordinates_of
 from planner.model.mjcf.prescribed_joints import twin_of
 from planner.model.space import space_of
 from planner.model.twin import Twin
@@ -143,7 +144,8 @@ class Problem(Built):
         number("actual_reduction_tolerance", self.actual_reduction_tolerance, minimum=0.0)
         object.__setattr__(self, "tolerance", checked_tolerance(self.tolerance))
         if self.periodic is not None:
-            object.__setattr__(self, "periodic", self.periodic.of_size(space.ndx))
+            names = [one.name for one in coordinates_of(self.dynamics)]
+            object.__setattr__(self, "periodic", self.periodic.of_coordinates(names))
         if self.limits is not None:
             goal = tracking_of(self.cost) or self.cost
             object.__setattr__(self, "bounds", self.limits.bounds(self.dynamics, N))

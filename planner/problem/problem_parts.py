@@ -100,6 +100,7 @@ class Periodic:
     passes: int = 8  # Max number of solves of solve_periodic
     cost_tolerance: float = 1e-3  # Relative change of the cost below which "newton" only reduces the closure error
     image: StateMap | None = None  # From the start to where it returns; None for the start itself
+    free: tuple[str, ...] = ()  # Names of coordinates that need not return, whatever their tolerance
 
     def __post_init__(self) -> None:
         try:
@@ -117,8 +118,9 @@ class Periodic:
         tolerance.flags.writeable = False
         object.__setattr__(self, "tolerance", tolerance)
 
-    def of_size(self, ndx: int) -> Periodic:
-        """The same with a tolerance (ndx,)."""
+    def of_coordinates(self, names: Sequence[str]) -> Periodic:
+        """The same with a tolerance (ndx,), for a deviation whose coordinates have these names."""
+        ndx = len(names)
         if self.tolerance.shape not in ((), (ndx,)):
             shape = self.tolerance.shape
             raise PlannerError(f"the tolerance of what is periodic has shape {shape}, expected ({ndx},).")
@@ -126,7 +128,8 @@ class Periodic:
             raise PlannerError(
                 f"the image of what is periodic is of {len(self.image.matrix)} deviations, expected {ndx}."
             )
-        return replace(self, tolerance=np.broadcast_to(self.tolerance, ndx))
+        open_ = [choice("what is free in a periodic motion", name, names) for name in self.free]
+        return replace(self, tolerance=np.where(np.isin(names, open_), np.inf, self.tolerance))
 
     @property
     def matrix(self) -> np.ndarray:
@@ -154,13 +157,13 @@ class Periodic:
     def to_dict(self) -> dict[str, Any]:
         """As JSON values; infinity is None."""
         tolerance = [float(value) if np.isfinite(value) else None for value in self.tolerance]
-        table = {"tolerance": tolerance, "step": self.step, "passes": self.passes}
+        table = {name: getattr(self, name) for name in ("step", "passes", "cost_tolerance")}
         image = {} if self.image is None else {"image": self.image.to_dict()}
-        return table | {"cost_tolerance": self.cost_tolerance} | image
+        return {"tolerance": tolerance, **table, "free": list(self.free), **image}
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> Periodic:
         """The Periodic of a table that to_dict made."""
         tolerance = np.array([np.inf if value is None else value for value in table["tolerance"]])
         image = StateMap.from_dict(table["image"]) if "image" in table else None
-        return cls(**{**table, "tolerance": tolerance, "image": image})
+        return cls(**{**table, "tolerance": tolerance, "image": image, "free": tuple(table.get("free", ()))})

@@ -4,18 +4,20 @@ The optimal periodic trajectory, minimize L(x, U) subject to x(N) = x(0) over x(
 
     x(N) = x(0),     costate(0) = nu,        nu the multiplier of x(N) = x(0)
 
-(of a gait x(N) = image of x(0), costate(0) = S' nu, S the derivative of the image) and the zero gradient of Eq. 20. A solve from a start x0 with the final cost 1/2 |x(N) - r|^2_W has a zero gradient and
-nu = W (x(N) - r). This leaves two equations for two unknowns, x0 and r, and the LQ problem (Eq. 31-35) at the solution
-gives their derivatives, with Phi_n = product of A + B K from n + 1 to N, Phi that from 0, H = R + B'PB:
+(of a gait x(N) = image of x(0) and costate(0) = S' nu, S the derivative of the image, else S = I) and the zero gradient
+of Eq. 20. A solve from a start x0 with the final cost 1/2 |x(N) - r|^2_W has a zero gradient and nu = W (x(N) - r).
+This leaves two equations for two unknowns, x0 and r, and the LQ problem (Eq. 31-35) at the solution gives their
+derivatives, with Phi_n = product of A + B K from n + 1 to N, Phi that from 0, H = R + B'PB:
 
     du(n)        = K dx(n) + F_n dr,         F_n = H^-1 (Phi_n B)' W
     d x(N)       = Phi dx0 + G W dr,         G = sum over n of Phi_n B H^-1 B' Phi_n'
     d costate(0) = P(0) dx0 - Phi' W dr
 
-So the LQ problem's periodic trajectories satisfy (Phi - S) dx0 + G W dr = x(0) - x(N), S = I without an image, on which L is a convex
-quadratic in (dx0, dr). A step is the minimum-norm solution, which is well conditioned and small, plus Newton's step for
-L in the null space, damped by mu until the actual cost agrees with the expected one: this part may be large, since L
-depends weakly on some directions of the start. Components that need not be periodic keep their start and reference.
+So the LQ problem's periodic trajectories satisfy (Phi - S) dx0 + G W dr = x(0) - x(N), on which L is a convex quadratic
+in (dx0, dr). A step is the minimum-norm solution, which is well conditioned and small, plus Newton's step for L in the
+null space, which may be large, since L depends weakly on some directions of the start. It is damped by mu until a
+rollout lowers the merit, L + penalty |x(0) - x(N)| (N&W 18.3). Components that need not be periodic keep their start
+and reference.
 """
 
 from __future__ import annotations
@@ -86,8 +88,7 @@ class BoundarySensitivity(NamedTuple):
     F: np.ndarray  # (N, nu, ndx) d u / d r
 
     def step(self, mu: float, part: float = 1.0) -> BoundaryStep:
-        """The step damped by mu, inf for none in the null space, which closes a fraction `part` of the closure error.
-        """
+        """The step damped by mu, inf for none in the null space, that closes a fraction `part` of the closure error."""
         c, m, I = self.closes, len(self.closes), np.eye(len(self.W))
         scale = self._scale  # scales steps to sqrt(unit of J)
         both = np.r_[c, len(I) + c]

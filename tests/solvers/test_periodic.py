@@ -258,7 +258,7 @@ def test_gaps_are_deviations():
     np.testing.assert_allclose(periodic.closure_error(space, xs), [0.2, 0.0, 0.0, 0.0], atol=1e-15)
     assert periodic.miss(space, xs) == pytest.approx(2.0)
     np.testing.assert_allclose(periodic.brought(space, xs[0], turned), [*turned[:4], 0.0])
-    assert Periodic(0.5).of_size(2).miss(euclidean(2), np.array([[0.0, 0.0], [0.1, 0.2]])) == pytest.approx(0.4)
+    assert Periodic(0.5).of_coordinates(["a", "b"]).miss(euclidean(2), np.array([[0.0, 0.0], [0.1, 0.2]])) == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, "much", np.inf, [np.nan, 1.0], [[1.0]], None])

@@ -58,8 +58,8 @@ from planner.base.arguments import choice, count, short_repr
 from planner.base.data_files import check_file, problem_files, read_table
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.constraints import constraints_of
-from planner.cases.problem_file.cycles import GAIN as GAIN_IN_CYCLE
 from planner.cases.problem_file.cycles import (
+    GAIN_OF_CYCLE,
     cycle_cost,
     cycle_in,
     ends_in,
@@ -75,15 +75,15 @@ from planner.cases.problem_file.feasibility_checks import (
     check_momentum,
 )
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
-from planner.cases.problem_file.keys import KEYS, RAMP, RESOLVED, TABLES
+from planner.cases.problem_file.keys import KEYS, RESOLVED, TABLES
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
-from planner.cases.problem_file.states import carried_along, state_of, states_of
+from planner.cases.problem_file.resolved_defaults import with_resolved
+from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.stops import at_rest_on_stops, off_stops
 from planner.cases.problem_file.table import checked_starts, checked_values, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
-    ResolvedTask,
     check_task_departure,
     cost_of,
     guess_of,
@@ -91,8 +91,6 @@ from planner.cases.problem_file.tasks import (
     path_lengths,
     resolve_task,
     steps_of,
-    walking_weights,
-    weights_of,
     with_files,
     with_tasks,
 )
@@ -106,7 +104,6 @@ from planner.model.twin import Twin
 from planner.problem.constraints.clearance import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
-from planner.problem.default_weights import default_weights
 from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.limits import Limits
 from planner.problem.model_lint import ranges_in_degrees
@@ -115,12 +112,12 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import PROBLEM_FILE, Recipe
 from planner.problem.reaching_cost import straight_reference, weighed
+from planner.problem.tasks.cycle import Cycle
 from planner.solvers.free_time import solve_for
 from planner.solvers.options import single_start
 from planner.solvers.periodic import solve_periodic
 from planner.solvers.periodic_boundary import PARAMETER
 from planner.solvers.slq import solve
-from planner.solvers.waypoints import WAYPOINTS
 
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
@@ -355,7 +352,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         along, paths = ReferenceTrajectory(None, rows, direct=True, walks=True), path_lengths(dynamics, rows)
     elif way is not None and way.gait:
         reasons["gait"] = way.gait
-    table = _resolved(table, dynamics, x0, goal, reasons, way, limits, paths, ramp)
+    table = with_resolved(table, dynamics, x0, goal, reasons, way, limits, paths, ramp)
     weights = table[RESOLVED]["weights"]
     wanted = None
     if cyclic is not None and cycle is not None:
@@ -377,51 +374,27 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, build),
         appearance=replace(appearance, title=table["title"] or appearance.title),
-        limits=limits, constraints=kept, goal_specs=wanted,
+        limits=limits, constraints=kept, goal_specs=wanted if cyclic is None else (),
         tolerance=None if tasked else table["tolerance"], expected_reduction_tolerance=DECREASE,
-        periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic, cycle.cycles),
-        actual_reduction_tolerance=GAIN_IN_CYCLE if cycle is not None and cycle.cycles == 1 else GAIN if mechanism.contacts else DECREASE
-        if mechanism.has_closed_chains else 0.0,
+        periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic, cycle),
+        actual_reduction_tolerance=_gain(mechanism, cycle),
     )  # fmt: skip
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
-    if cyclic is not None:
-        pass  # it ends as it begins
-    elif way is None or wanted is None:
+    if way is not None and wanted is not None:
+        check_task_departure(x0, wanted, way.task)
+        check_goal_controllable(problem, way.rows)
+    elif cyclic is None:  # of a cycle the solver finds both ends
         check_goal_differs(problem)
         check_goal_controllable(problem, goal[None])
         check_momentum(problem, goal)
         if not rebuilt:  # a search over durations goes below those that suffice
             between = durations_or_default(table.get("durations"), table.get("objective", {}), table["duration"])
             check_goal_in_time(problem, max(table["duration"], *(between or (0.0,))))
-    else:
-        check_task_departure(x0, wanted, way.task)
-        check_goal_controllable(problem, way.rows)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 
-def _resolved(
-    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
-    way: ResolvedTask | None, limits: Limits | None, paths: np.ndarray | None, ramp: float | None,
-) -> dict[str, Any]:  # fmt: skip
-    """The table with what was chosen by itself: weights and their reasons. A stored plan has them already.
-
-    `paths`: (nv,) rad or m, the way of each degree of freedom where feet step and no task says more; else None.
-    """
-    if RESOLVED in table:
-        return table
-    given = table["weights"]
-    if way is not None:
-        default = weights_of(table, dynamics, x0, way, limits)
-    else:
-        default = default_weights(
-            dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], named="objective" in table,
-            stays="position" not in given, jerk=table.get("objective", {}).get("jerk", 0.0),
-            displacement=paths,
-            carried_along=carried_along(table["goal"], dynamics),
-        )  # fmt: skip
-        default = default if paths is None else walking_weights(default)
-    filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
-    reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
-    waypoints = {} if way is None or not way.waypoints else {WAYPOINTS: list(way.waypoints)}
-    ramps = {} if ramp is None else {RAMP: ramp}
-    return table | {RESOLVED: {"weights": {**filled, **given}, "reasons": reasons, **waypoints, **ramps}}
+def _gain(mechanism: Mechanism, cycle: Cycle | None) -> float:
+    """Of the cost, what an iteration is to gain."""
+    if cycle is not None and cycle.cycles == 1:
+        return GAIN_OF_CYCLE
+    return GAIN if mechanism.contacts else DECREASE if mechanism.has_closed_chains else 0.0

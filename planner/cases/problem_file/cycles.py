@@ -12,7 +12,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.tasks import steps_of
 from planner.dynamics import RigidBodyDynamics
 from planner.model.coordinates import coordinates_of_mechanism
-from planner.problem.costs.terms import Cost, SumCost
+from planner.problem.costs.terms import Cost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.limits import Limits
@@ -26,7 +26,7 @@ from planner.solvers.periodic_boundary import PARAMETER, ends_of
 
 RETURNED = 0.5  # of the default tolerance of a goal: how far from the image of its start a cycle may end
 PASSES = 20  # solves: a trot takes 3 to 6, a bound whose reference falls 12
-GAIN = 3e-6  # of the cost, by an iteration that is worth it: where a cycle begins is told by small differences
+GAIN_OF_CYCLE = 3e-6  # of the cost, by an iteration that is worth it: where a cycle begins is told by small differences
 ACTIVATION = 0.01  # of an activation, likewise
 
 
@@ -44,6 +44,10 @@ def cycle_in(table: dict[str, Any], tasked: bool) -> Cycle | None:
     if steps_of(table) is None:
         raise PlannerError(
             'periodic is a cycle of a gait, expected gait = "trot" or another one, or tables [[phase]], beside it.'
+        )
+    if cycle.free and cycle.cycles > 1:
+        raise PlannerError(
+            "periodic has free and cycles, which begin where the one before is to end: expected one of them."
         )
     if "time" in table.get("objective", {}):
         raise PlannerError("the objective has time, and a cycle has a fixed duration: expected another objective.")
@@ -112,8 +116,8 @@ def cycle_cost(
     return with_slip(cost, dynamics, slip, x0[None])
 
 
-def periodic_of(dynamics: RigidBodyDynamics, motion: CycleMotion, cycles: int) -> Periodic:
-    """What returns at the end of so many cycles: all of the machine, within a tolerance for each of them."""
+def periodic_of(dynamics: RigidBodyDynamics, motion: CycleMotion, cycle: Cycle) -> Periodic:
+    """What returns at the end of a plan's cycles: all that is not free, within a tolerance for each of them."""
     units = [one.unit for one in coordinates_of_mechanism(dynamics.mechanism)]
     tolerance = [RETURNED * MIN_TOLERANCES[unit] if unit in MIN_TOLERANCES else ACTIVATION for unit in units]
-    return Periodic(cycles * np.array(tolerance), passes=PASSES, image=motion.image)
+    return Periodic(cycle.cycles * np.array(tolerance), passes=PASSES, image=motion.image, free=cycle.free)

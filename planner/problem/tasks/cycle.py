@@ -25,7 +25,7 @@ from planner.model.state_map import StateMap
 from planner.problem.tasks.flight import check_flight_time
 from planner.problem.tasks.gait import Gait, Phase, centres_of, feet_of, height_of, stands_at
 from planner.problem.tasks.legs import Foot, longest_step, over_support, points_of_feet, stepping, with_legs
-from planner.problem.tasks.mirror import UNLIKE, Mirror, asymmetry, base_coordinates, base_dofs, mirror_of
+from planner.problem.tasks.mirror import UNLIKE, Mirror, asymmetry, base_dofs, mirror_of
 
 WHOLE = 5  # cycles of the motion of which the middle one is the reference
 AXES = "m along the ground, ahead (the base's x axis) and to the left"
@@ -40,12 +40,14 @@ class Cycle:
         turn: rad, about the vertical.
         mirror: Whether the machine's sides have changed places at the end.
         cycles: How many of them a plan has, one after another.
+        free: Names of coordinates that need not return: there `travel` is aimed at alone.
     """
 
     travel: tuple[float, float] = (0.0, 0.0)
     turn: float = 0.0
     mirror: bool = False
     cycles: int = 1
+    free: tuple[str, ...] = ()
 
 
 class CycleMotion(NamedTuple):
@@ -86,7 +88,7 @@ def cycle_of(value: Any) -> Cycle:
     Raises:
         PlannerError: Another type, an unknown key, or a number out of range.
     """
-    keys = ("travel", "turn", "mirror", "cycles")
+    keys = ("travel", "turn", "mirror", "cycles", "free")
     if not isinstance(value, Mapping):
         raise PlannerError(f"periodic is {short_repr(value)}, expected a table of some of: {', '.join(keys)}.")
     given = {choice("a key of periodic", key, keys): part for key, part in value.items()}
@@ -100,7 +102,10 @@ def cycle_of(value: Any) -> Cycle:
         raise PlannerError(f"mirror of periodic is {short_repr(mirror)}, expected true or false.")
     if mirror and turn:
         raise PlannerError("periodic has mirror and a turn, whose image turns the other way: expected one of them.")
-    return Cycle((ahead, left), turn, mirror, count("cycles of periodic", given.get("cycles", 1)))
+    free = given.get("free", ())
+    if not isinstance(free, (list, tuple)) or not all(isinstance(name, str) for name in free):
+        raise PlannerError(f"free of periodic is {short_repr(free)}, expected a list of names of coordinates.")
+    return Cycle((ahead, left), turn, mirror, count("cycles of periodic", given.get("cycles", 1)), tuple(free))
 
 
 def cycle_motion(
