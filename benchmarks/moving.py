@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import planner
+from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.model.capabilities import capabilities_of, stands_on_ground
 from planner.proof.replays.compiled_twin import CompiledTwin
@@ -34,29 +35,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default="", help="the beginning of the files' names")
     parser.add_argument("--rollouts", type=int, default=0, help="of machines with errors, for each plan")
-    asked = parser.parse_args()
-    passed, firm, files = 0, 0, sorted(FILES.glob(f"{asked.only}*.toml"))
+    arguments = parser.parse_args()
+    passed, firm, files = 0, 0, sorted(FILES.glob(f"{arguments.only}*.toml"))
     for file in files:
         try:
-            problem = planner.load_problem(file)
+            asked = load(file)
         except planner.PlannerError as error:
             print(f"{file.stem}: refused: {error}", flush=True)
             continue
-        planner.solve(problem, max_iterations=1)  # compiled
+        planner.solve(asked.problem, max_iterations=1)  # compiled
         began = time.process_time()
-        plan = planner.solve(problem, budget=WORK)
+        plan = asked.solved(_silent, budget=WORK)
         seconds = time.process_time() - began
         proof = planner.prove(plan, rollouts=0)
         passed += proof.passed
         print(
-            f"{file.stem}: {plan.nit} iterations, {seconds:.1f} s, {_air_time(plan):.2f} s in the air, "
+            f"{file.stem}: {plan.total_iterations} iterations, {seconds:.1f} s, {_air_time(plan):.2f} s in the air, "
             f"{plan.status.name}: {proof.headline}", flush=True,
         )  # fmt: skip
-        if asked.rollouts:
-            share = _success_rate(plan, asked.rollouts)
+        if arguments.rollouts:
+            share = _success_rate(plan, arguments.rollouts)
             firm += proof.passed and share >= ROBUST
-            print(f"    {share:.0%} of {asked.rollouts} rollouts with errors", flush=True)
-    print(f"{passed} of {len(files)} PASS" + f", {firm} of them with errors" * bool(asked.rollouts))
+            print(f"    {share:.0%} of {arguments.rollouts} rollouts with errors", flush=True)
+    print(f"{passed} of {len(files)} PASS" + f", {firm} of them with errors" * bool(arguments.rollouts))
+
+
+def _silent(_: object) -> None:
+    """No progress."""
 
 
 def _success_rate(plan: planner.Plan, rollouts: int) -> float:

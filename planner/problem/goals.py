@@ -87,7 +87,7 @@ def missed_goal_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
     Problems with their own rule of success are judged by the proof alone.
     """
     if problem.periodic is not None:
-        return _unreturned(problem, xs)
+        return unreturned_message(problem, xs)
     if problem.requirements is not None and problem.requirements.goal is not None:
         return ""
     goals = [one for one in goals_of(problem, xs) if np.isfinite(one.tolerance) and one.tolerance > 0.0]
@@ -102,7 +102,7 @@ def missed_goal_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
     )
 
 
-def _unreturned(problem: Problem, xs: np.ndarray) -> str:
+def unreturned_message(problem: Problem, xs: np.ndarray) -> str:
     """A message about the component of a periodic motion (N+1, nx) that returns least; "" where all do."""
     periodic, space = problem.periodic, space_of(problem.dynamics)
     assert periodic is not None  # its caller has asked
@@ -111,10 +111,7 @@ def _unreturned(problem: Problem, xs: np.ndarray) -> str:
         return ""
     i = int(np.argmax(gap / periodic.tolerance))
     one = coordinates_of(problem.dynamics)[i]
-    return (
-        f"{one.name} ends {gap[i]:.3g} {one.unit} from where the cycle began, and {periodic.tolerance[i]:.3g} pass; "
-        "allow more passes, another duration or a shorter travel"
-    )
+    return f"{one.name} ends {gap[i]:.3g} {one.unit} from where the cycle began, and {periodic.tolerance[i]:.3g} pass"
 
 
 def has_tolerances(problem: Problem) -> bool:

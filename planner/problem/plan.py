@@ -33,7 +33,7 @@ from planner.problem.constraints.clearance import states_between_knots
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.costs.terms import stored_tolerance
 from planner.problem.export import Samples, frame_of, joint_trajectory, sampled, write_csv, write_keyframes
-from planner.problem.goals import missed_goal_message
+from planner.problem.goals import missed_goal_message, unreturned_message
 from planner.problem.initial_guess import Trajectory, rates_of, scaled_multipliers
 from planner.problem.objective import base_problem
 from planner.problem.problem import Problem
@@ -114,7 +114,9 @@ class Plan(Built, Plottable):
 
     @property
     def total_iterations(self) -> int:
-        """Number of iterations of all starts, and of all solves of a relaxation."""
+        """Number of iterations of all starts, of all solves of a relaxation, or of all passes of a periodic motion."""
+        if "passes" in self.options:
+            return sum(row[3] for row in self.options["tried"])
         relaxed = sum(step[4] for step in self.options.get("relaxation", {}).get("steps", ()))
         return sum(start.iterations for start in self.starts) + relaxed or self.nit
 
@@ -133,6 +135,9 @@ class Plan(Built, Plottable):
         """The status as a sentence (as in SciPy), with violated or active limits and missed goals."""
         if self.problem is not None and self.status is not Status.UNRESOLVED and self.missed_goals:
             return f"{Status.CONVERGED.value[:-1]}, but {self.missed_goals}."
+        if self.status is Status.NOT_PERIODIC and self.problem is not None:
+            told = unreturned_message(self.problem, self.xs)
+            return f"{self.status.value[:-1]}: {told}." if told else self.status.value
         if self.status is Status.INFEASIBLE:
             return infeasible_message(self.status.value, self.options.get("relaxation", {}))
         if self.problem is None or not (self.status.cut or self.status in (Status.NO_DESCENT, Status.OUTSIDE_LIMITS)):

@@ -41,7 +41,7 @@ class Status(StrEnum):
     )
     NOT_PERIODIC = (
         "The motion did not come back to where it began within the passes; allow more passes or wider tolerances, or "
-        "give what must come back a larger final weight."
+        "give it another duration."
     )
     NOT_OPTIMAL = (
         "The motion comes back to where it began, but another start and end of it would cost less; solve with "

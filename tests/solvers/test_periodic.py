@@ -11,6 +11,7 @@ from planner import cases
 from planner.cli.parser import build, parse
 from planner.cli.solving import asked_problem
 from planner.model.space import StateSpace, euclidean
+from planner.model.state_map import StateMap
 from planner.problem.problem_parts import Periodic, Recipe
 from planner.solvers.periodic import PeriodicPass, solve_periodic
 from planner.solvers.periodic_boundary import BoundaryStates, response, with_ends
@@ -187,12 +188,55 @@ def test_bounds_of_controls_hold():
     assert np.abs(plan.xs[-1] - plan.xs[0]).max() < 1e-3
 
 
-def test_ranges_of_states_need_the_step_that_follows():
+def test_ranges_of_states_hold():
+    """Of the periodic motion, which reaches 0.99 rad without them, and of one that only follows."""
+    free = solve_periodic(swinging())
+    plan = solve_periodic(swinging(limits=planner.Limits(position={"pivot": (-0.9, 0.9)})))
+    assert plan.success
+    assert np.abs(plan.xs[-1] - plan.xs[0]).max() < 1e-3
+    assert np.abs(free.xs[:, 0]).max() > 0.98
+    assert np.abs(plan.xs[:, 0]).max() < 0.9 + 2e-4
+    assert plan.options["tried"][-1][0] > free.options["tried"][-1][0]
     problem = swinging(tolerance=0.3, limits=planner.Limits(position={"pivot": (-1.3, 1.3)}))
-    with pytest.raises(planner.PlannerError, match='step="follow"'):
-        solve_periodic(problem)
     plan = solve_periodic(problem, step="follow", passes=3)
     assert plan.xs[:, 0].max() < 1.3 + 2e-4
+
+
+def test_half_a_cycle_that_ends_at_its_opposite_is_half_of_the_cycle():
+    """A swing about the hanging pose is its own mirror image half a cycle later: x(t + T/2) = -x(t), x(N) = -x(0)."""
+    half, opposite = N // 2, StateMap(np.zeros(2), np.zeros(2), -np.eye(2))
+    way = np.stack([1.2 * np.sin(W * TIMES), 1.2 * W * np.cos(W * TIMES)], axis=1)
+
+    def problem(stages, **parts):
+        Q = np.tile(DT * np.diag([20.0, 0.5]), (stages + 1, 1, 1))
+        Q[-1] = 30.0 * np.eye(2)
+        cost = planner.TrackingCost(Q, np.full((stages, 1, 1), DT), way[: stages + 1])
+        dynamics = planner.RigidBodyDynamics(mechanism('damping="0.3"'), DT, "rk4")
+        periodic = Periodic(1e-7, cost_tolerance=0.0, **parts)
+        return planner.Problem(dynamics, cost, way[0], periodic=periodic)
+
+    whole = solve_periodic(problem(N), passes=15)
+    part = solve_periodic(problem(half, image=opposite), passes=15)
+    assert whole.success
+    assert part.success
+    np.testing.assert_allclose(part.xs[-1], -part.xs[0], atol=1e-7)
+    # The same minimum, found within sqrt(cost_tolerance-free Newton steps' 1e-4 of the cost): flat along the swing.
+    np.testing.assert_allclose(part.xs, whole.xs[: half + 1], atol=2e-3)
+    costs = [plan.options["tried"][-1][0] for plan in (part, whole)]
+    assert 2.0 * costs[0] == pytest.approx(costs[1], rel=1e-5)
+
+
+def test_free_components_are_named():
+    periodic = Periodic(0.1, free=("belt",)).of_coordinates(["leg", "belt"])
+    assert periodic.tolerance.tolist() == [0.1, np.inf]
+    assert Periodic.from_dict(periodic.to_dict()).free == ("belt",)
+    with pytest.raises(planner.PlannerError, match="'tread'"):
+        Periodic(0.1, free=("tread",)).of_coordinates(["leg", "belt"])
+
+
+def test_an_image_of_another_size_is_refused():
+    with pytest.raises(planner.PlannerError, match="of 3 deviations, expected 2"):
+        Periodic(0.1, image=StateMap(np.zeros(3), np.zeros(3), np.eye(3))).of_coordinates(["leg", "belt"])
 
 
 def test_a_plan_is_proved_from_its_file(tmp_path):
@@ -258,7 +302,9 @@ def test_gaps_are_deviations():
     np.testing.assert_allclose(periodic.closure_error(space, xs), [0.2, 0.0, 0.0, 0.0], atol=1e-15)
     assert periodic.miss(space, xs) == pytest.approx(2.0)
     np.testing.assert_allclose(periodic.brought(space, xs[0], turned), [*turned[:4], 0.0])
-    assert Periodic(0.5).of_coordinates(["a", "b"]).miss(euclidean(2), np.array([[0.0, 0.0], [0.1, 0.2]])) == pytest.approx(0.4)
+    assert Periodic(0.5).of_coordinates(["a", "b"]).miss(
+        euclidean(2), np.array([[0.0, 0.0], [0.1, 0.2]])
+    ) == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, "much", np.inf, [np.nan, 1.0], [[1.0]], None])

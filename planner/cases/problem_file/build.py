@@ -114,7 +114,6 @@ from planner.problem.problem_parts import PROBLEM_FILE, Recipe
 from planner.problem.reaching_cost import straight_reference, weighed
 from planner.problem.tasks.cycle import Cycle
 from planner.solvers.free_time import solve_for
-from planner.solvers.options import single_start
 from planner.solvers.periodic import solve_periodic
 from planner.solvers.periodic_boundary import PARAMETER
 from planner.solvers.slq import solve
@@ -145,9 +144,8 @@ class ProblemFile(NamedTuple):
         """The plan, by the solver that the problem asks for; options are those of solve()."""
         if self.problem.periodic is not None:
             plan = solve_periodic(self.problem, callback=callback, **options)
-            if self.cycles == 1 or not plan.converged:
-                return plan
-            return solve(unrolled(self.problem, plan, self.cycles), **single_start(options))
+            whole = self.cycles > 1 and plan.converged
+            return unrolled(self.problem, plan, self.cycles, options) if whole else plan
         if self.objective is None:
             return solve(self.problem, callback=callback, **options)
         return solve_for(self.problem, self.objective, durations=self.durations, callback=callback, **options)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from planner.base.arguments import array
+from planner.base.data_files import finite
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.tasks import steps_of
 from planner.dynamics import RigidBodyDynamics
@@ -22,7 +24,9 @@ from planner.problem.problem_parts import Periodic
 from planner.problem.reaching_cost import staying_cost, with_slip
 from planner.problem.tasks.cycle import Cycle, CycleMotion, cycle_motion, cycle_of
 from planner.solvers.gains import feedback_rollout
+from planner.solvers.options import single_start
 from planner.solvers.periodic_boundary import PARAMETER, ends_of
+from planner.solvers.slq import solve
 
 RETURNED = 0.5  # of the default tolerance of a goal: how far from the image of its start a cycle may end
 PASSES = 20  # solves: a trot takes 3 to 6, a bound whose reference falls 12
@@ -45,10 +49,6 @@ def cycle_in(table: dict[str, Any], tasked: bool) -> Cycle | None:
         raise PlannerError(
             'periodic is a cycle of a gait, expected gait = "trot" or another one, or tables [[phase]], beside it.'
         )
-    if cycle.free and cycle.cycles > 1:
-        raise PlannerError(
-            "periodic has free and cycles, which begin where the one before is to end: expected one of them."
-        )
     if "time" in table.get("objective", {}):
         raise PlannerError("the objective has time, and a cycle has a fixed duration: expected another objective.")
     return cycle
@@ -63,10 +63,11 @@ def motion_in(
     return cycle_motion(steps, cycle, dynamics, x0, N, ranges)
 
 
-def unrolled(problem: Problem, plan: Plan, cycles: int) -> Problem:
-    """The problem of so many cycles, one after another, of a file's problem of one; starts from the plan of that one.
+def unrolled(problem: Problem, plan: Plan, cycles: int, options: dict[str, Any]) -> Plan:
+    """The plan of so many cycles, one after another, from the plan of one of a file's problem.
 
-    Each cycle is the image of the one before; the gains keep the rollout of all of them on their way.
+    Each cycle is the image of the one before; the gains keep the first rollout of all of them on their way. `options`
+    are those of solve().
     """
     assert problem.recipe is not None  # of a file
     assert plan.problem is not None  # solve_periodic made it
@@ -83,7 +84,16 @@ def unrolled(problem: Problem, plan: Plan, cycles: int) -> Problem:
         xs.append(periodic.image.apply(plan.space, xs[-1][-plan.N :]))
         K.append(C @ K[-1] @ S.T)
     us = feedback_rollout(whole, np.concatenate(us), np.concatenate(K), np.concatenate(xs))[1]
-    return replace(whole, us=us)
+    found = solve(replace(whole, us=us), **single_start(options))
+    row = finite([found.cost, _miss(found), math.nan, found.nit])
+    tried = {name: plan.options[name] for name in ("step", "passes")} | {"tried": [*plan.options["tried"], row]}
+    return replace(found, options=found.options | tried)
+
+
+def _miss(plan: Plan) -> float:
+    """The largest closure error of a periodic plan, over its tolerance."""
+    assert plan.problem is not None and plan.problem.periodic is not None  # noqa: PT018 - of a file's cycles
+    return plan.problem.periodic.miss(plan.space, plan.xs)
 
 
 def without_cycles(table: dict[str, Any]) -> tuple[dict[str, Any], int]:

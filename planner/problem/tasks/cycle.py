@@ -105,7 +105,10 @@ def cycle_of(value: Any) -> Cycle:
     free = given.get("free", ())
     if not isinstance(free, (list, tuple)) or not all(isinstance(name, str) for name in free):
         raise PlannerError(f"free of periodic is {short_repr(free)}, expected a list of names of coordinates.")
-    return Cycle((ahead, left), turn, mirror, count("cycles of periodic", given.get("cycles", 1)), tuple(free))
+    cycles = count("cycles of periodic", given.get("cycles", 1))
+    if free and cycles > 1:
+        raise PlannerError("periodic has free and cycles, which begin where one has ended: expected one of them.")
+    return Cycle((ahead, left), turn, mirror, cycles, tuple(free))
 
 
 def cycle_motion(

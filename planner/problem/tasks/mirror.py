@@ -68,8 +68,9 @@ def mirror_of(mechanism: Mechanism, x: np.ndarray, normal: np.ndarray) -> Mirror
         away = [np.abs(image - sign * moments).max(axis=1) for sign in (1.0, -1.0)]
         side, j = divmod(int(np.argmin(np.concatenate(away))), mechanism.nu)
         if away[side][j] > MATCH * np.abs(image).max() or C[j].any():
+            name = mechanism.actuators.names[k] or f"actuator {k}"
             raise PlannerError(
-                f"mirror is true, and actuator {mechanism.actuators.names[k]!r} has no mirror image: expected a "
+                f"mirror is true, and actuator {name!r} has no mirror image: expected a "
                 "machine with two equal sides, or no mirror and a whole cycle."
             )
         C[j, k] = 1.0 - 2.0 * side
