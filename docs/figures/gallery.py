@@ -10,6 +10,7 @@ from pathlib import Path
 
 import planner
 from planner.base.data_files import problem_files
+from planner.cases.problem_file import ProblemFile, load
 
 ROOT = Path(__file__).parents[2]
 CASES = ("hopper", "two_link", "acrobot", "puma", "high_dive", "human_step")  # the paper's first
@@ -23,24 +24,25 @@ again: it plans, proves and draws everything on it.
 """
 
 
-def entries() -> list[tuple[str, str, planner.Problem]]:
-    """Title, command and problem of each."""
+def entries() -> list[tuple[str, str, ProblemFile]]:
+    """Title, command, and problem and how to solve it of each."""
     found = []
     for name in CASES:
         case = name.replace("_", "-")
-        found.append((case, f"planner run {case}", getattr(planner.cases, name)()))
-    found += [(name, f"planner run {name}", planner.load_problem(name)) for name in problem_files()]
+        found.append((case, f"planner run {case}", ProblemFile(getattr(planner.cases, name)(), 1, 0, None, None)))
+    found += [(name, f"planner run {name}", load(path)) for name, path in problem_files().items()]
     files = [*sorted((ROOT / "examples" / "tasks").glob("*.toml")), ROOT / "examples" / "crane.toml"]
     files += sorted((ROOT / "examples" / "closed_chains").glob("*.toml"))
     for file in files:
         where = file.relative_to(ROOT).as_posix()
-        found.append((file.stem.replace("_", " "), f"planner run {where}", planner.load_problem(file)))
+        found.append((file.stem.replace("_", " "), f"planner run {where}", load(file)))
     return found
 
 
-def entry(title: str, command: str, problem: planner.Problem, pictures: Path) -> str:
+def entry(title: str, command: str, asked: ProblemFile, pictures: Path) -> str:
     """Text of an entry, whose picture is drawn into a folder."""
-    plan = planner.solve(problem)
+    of_cycles = asked.problem.periodic is not None
+    plan = asked.solved(lambda _: None) if of_cycles else planner.solve(asked.problem)
     proof = planner.prove(plan, rollouts=0)
     name = command.split("/")[-1].split()[-1].replace(".toml", "").replace("_", "-")
     name += "-chain" if "closed_chains" in command else ""
@@ -54,8 +56,8 @@ def main(folder: Path) -> None:
     """Write gallery.md into a folder, and its pictures beside it."""
     pictures, page = folder / "figures" / "gallery", [HEAD]
     pictures.mkdir(parents=True, exist_ok=True)
-    for title, command, problem in entries():
-        page.append(entry(title, command, problem, pictures))
+    for title, command, asked in entries():
+        page.append(entry(title, command, asked, pictures))
     (folder / "gallery.md").write_text("\n".join(page), encoding="utf-8")
 
 

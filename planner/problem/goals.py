@@ -106,12 +106,12 @@ def unreturned_message(problem: Problem, xs: np.ndarray) -> str:
     """A message about the component of a periodic motion (N+1, nx) that returns least; "" where all do."""
     periodic, space = problem.periodic, space_of(problem.dynamics)
     assert periodic is not None  # its caller has asked
-    gap = np.abs(periodic.closure_error(space, xs))
-    if not np.isfinite(xs).all() or np.all(gap <= periodic.tolerance):
+    error = np.abs(periodic.closure_error(space, xs))
+    if not np.isfinite(xs).all() or np.all(error <= periodic.tolerance):
         return ""
-    i = int(np.argmax(gap / periodic.tolerance))
+    i = int(np.argmax(error / periodic.tolerance))
     one = coordinates_of(problem.dynamics)[i]
-    return f"{one.name} ends {gap[i]:.3g} {one.unit} from where the cycle began, and {periodic.tolerance[i]:.3g} pass"
+    return f"{one.name} ends {error[i]:.3g} {one.unit} from where the cycle began, and {periodic.tolerance[i]:.3g} pass"
 
 
 def has_tolerances(problem: Problem) -> bool:

@@ -100,7 +100,7 @@ class Periodic:
     passes: int = 8  # Max number of solves of solve_periodic
     cost_tolerance: float = 1e-3  # Relative change of the cost below which "newton" only reduces the closure error
     image: StateMap | None = None  # From the start to where it returns; None for the start itself
-    free: tuple[str, ...] = ()  # Names of coordinates that need not return, whatever their tolerance
+    left_open: tuple[str, ...] = ()  # Names of coordinates that need not return, whatever their tolerance
 
     def __post_init__(self) -> None:
         try:
@@ -128,7 +128,7 @@ class Periodic:
             raise PlannerError(
                 f"the image of what is periodic is of {len(self.image.matrix)} deviations, expected {ndx}."
             )
-        open_ = [choice("what is free in a periodic motion", name, names) for name in self.free]
+        open_ = [choice("what a periodic motion leaves open", name, names) for name in self.left_open]
         return replace(self, tolerance=np.where(np.isin(names, open_), np.inf, self.tolerance))
 
     @property
@@ -159,11 +159,11 @@ class Periodic:
         tolerance = [float(value) if np.isfinite(value) else None for value in self.tolerance]
         table = {name: getattr(self, name) for name in ("step", "passes", "cost_tolerance")}
         image = {} if self.image is None else {"image": self.image.to_dict()}
-        return {"tolerance": tolerance, **table, "free": list(self.free), **image}
+        return {"tolerance": tolerance, **table, "left_open": list(self.left_open), **image}
 
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> Periodic:
         """The Periodic of a table that to_dict made."""
         tolerance = np.array([np.inf if value is None else value for value in table["tolerance"]])
         image = StateMap.from_dict(table["image"]) if "image" in table else None
-        return cls(**{**table, "tolerance": tolerance, "image": image, "free": tuple(table.get("free", ()))})
+        return cls(**{**table, "tolerance": tolerance, "image": image, "left_open": tuple(table.get("left_open", ()))})

@@ -275,8 +275,8 @@ def improved_boundary(found: BoundarySensitivity, first: int = 0) -> BoundaryTri
         xs = rollout_states(new.dynamics, new.x0, us)
         size = found.size(periodic.closure_error(space, xs))
         merit = cost - tracking(new).final_cost(xs[-1]) + penalty * size
-        lower = merit <= now + SUFFICIENT * min(found.predicted_merit(step, part, penalty) - now, 0.0)
-        if lower or (k >= ONLY_CLOSING and size <= (1.0 - CLOSED * part) * found.size(found.gap)):
+        enough = merit <= now + SUFFICIENT * min(found.predicted_merit(step, part, penalty) - now, 0.0)
+        if enough or (k >= ONLY_CLOSING and size <= (1.0 - CLOSED * part) * found.size(found.gap)):
             return BoundaryTrial(replace(new, us=us), k, penalty, step.decrease)
     return None
 

@@ -159,15 +159,15 @@ def test_standing_machines_are_their_own_image(quadruped):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("periodic = 0.1", "expected a table of some of: travel, turn, mirror, cycles, free"),
+        ("periodic = 0.1", "expected a table of some of: travel, turn, mirror, cycles, left_open"),
         ("periodic = { way = 0.1 }", "'way'"),
         ("periodic = { travel = [0.1] }", "travel of periodic"),
         ('periodic = { mirror = "yes" }', "expected true or false"),
         ("periodic = { mirror = true, turn = 0.2 }", "turns the other way"),
         ("periodic = { travel = 0.1, cycles = 0 }", "cycles of periodic"),
         ("periodic = { travel = 0.1 }\ngoal = { root = [0.25, 0, 0.326, 1, 0, 0, 0] }", "expected one of them"),
-        ('periodic = { free = ["belt"] }', "'belt'"),
-        ('periodic = { free = ["root x"], cycles = 2 }', "free and cycles"),
+        ('periodic = { left_open = ["belt"] }', "'belt'"),
+        ('periodic = { left_open = ["root x"], cycles = 2 }', "left_open and cycles"),
         ("periodic = { travel = 3.0, mirror = true }", "further than its leg reaches"),
         ("periodic = { travel = 0.1 }\nobjective = \"time\"", "fixed duration"),
     ],
@@ -191,7 +191,7 @@ def test_a_cycle_is_of_a_gait_that_fits(tmp_path, gait, said):
 
 def test_a_number_is_the_way_ahead():
     assert cycle_of({"travel": 0.3}) == Cycle((0.3, 0.0))
-    assert cycle_of({"travel": [0.3, 0.1], "free": ["x"]}) == Cycle((0.3, 0.1), free=("x",))
+    assert cycle_of({"travel": [0.3, 0.1], "left_open": ["x"]}) == Cycle((0.3, 0.1), left_open=("x",))
 
 
 def test_a_trot_returns_to_the_image_of_its_start_and_its_plan_to_its_file(tmp_path):
@@ -220,8 +220,8 @@ def test_a_cut_search_says_what_does_not_return(tmp_path):
     assert "from where the cycle began" in plan.message
 
 
-def test_free_coordinates_need_not_return(tmp_path):
-    asked = loaded(tmp_path, TROT + 'periodic = { travel = 0.125, mirror = true, free = ["root x"] }\n')
+def test_open_coordinates_need_not_return(tmp_path):
+    asked = loaded(tmp_path, TROT + 'periodic = { travel = 0.125, mirror = true, left_open = ["root x"] }\n')
     x = next(
         i
         for i, one in enumerate(planner.model.coordinates.coordinates_of(asked.problem.dynamics))

@@ -259,7 +259,8 @@ def test_what_a_plan_bears_is_not_measured_where_the_work_does_not_reach():
     """The steps after a verdict are some thirty replays, which a work of one proof does not pay."""
     plan = planner.solve(planner.cases.two_link(horizon=50))
     for proofs, said in ((0.0, True), (1.0, True), (3.0, False)):
-        assert bool(run_command._missing(plan, WorkBudget(proofs * work_of_proof(plan.problem)))) is said
+        budget = WorkBudget(proofs * work_of_proof(plan.problem))
+        assert bool(run_command._missing(plan, planner.prove(plan, rollouts=0), budget)) is said
 
 
 def test_work_of_a_problem_file(tmp_path, capsys):

@@ -220,18 +220,18 @@ def test_half_a_cycle_that_ends_at_its_opposite_is_half_of_the_cycle():
     assert whole.success
     assert part.success
     np.testing.assert_allclose(part.xs[-1], -part.xs[0], atol=1e-7)
-    # The same minimum, found within sqrt(cost_tolerance-free Newton steps' 1e-4 of the cost): flat along the swing.
+    # Passes end where a step lowers the cost by less than 1e-4 of it, at a flat minimum.
     np.testing.assert_allclose(part.xs, whole.xs[: half + 1], atol=2e-3)
     costs = [plan.options["tried"][-1][0] for plan in (part, whole)]
     assert 2.0 * costs[0] == pytest.approx(costs[1], rel=1e-5)
 
 
-def test_free_components_are_named():
-    periodic = Periodic(0.1, free=("belt",)).of_coordinates(["leg", "belt"])
+def test_open_components_are_named():
+    periodic = Periodic(0.1, left_open=("belt",)).of_coordinates(["leg", "belt"])
     assert periodic.tolerance.tolist() == [0.1, np.inf]
-    assert Periodic.from_dict(periodic.to_dict()).free == ("belt",)
+    assert Periodic.from_dict(periodic.to_dict()).left_open == ("belt",)
     with pytest.raises(planner.PlannerError, match="'tread'"):
-        Periodic(0.1, free=("tread",)).of_coordinates(["leg", "belt"])
+        Periodic(0.1, left_open=("tread",)).of_coordinates(["leg", "belt"])
 
 
 def test_an_image_of_another_size_is_refused():

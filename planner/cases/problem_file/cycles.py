@@ -116,10 +116,10 @@ def cycle_cost(
     dynamics: RigidBodyDynamics, x0: np.ndarray, motion: CycleMotion, goal: np.ndarray, weights: dict[str, Any]
 ) -> Cost:
     """The cost of a cycle; its end weighs as at x0 (nx,), where the machine stands, the time to stay there would."""
-    chosen = {**weights, "reference": motion.states}
-    hold, slip = chosen.pop("hold", 0.0), chosen.pop("slip", 0.0)
+    arguments = {**weights, "reference": motion.states}
+    hold, slip = arguments.pop("hold", 0.0), arguments.pop("slip", 0.0)
     N = len(motion.states) - 1
-    tracking = TrackingCost.joints(dynamics, motion.states[-1], N, **chosen)
+    tracking = TrackingCost.joints(dynamics, motion.states[-1], N, **arguments)
     standing = TrackingCost(tracking.Q, tracking.R, x0, tracking.u_ref, tracking.space)
     stays = staying_cost(dynamics, standing, hold, 0.0)
     cost = TrackingCost(stays.Q, stays.R, motion.states, stays.u_ref, stays.space).with_goal(goal)
@@ -127,7 +127,7 @@ def cycle_cost(
 
 
 def periodic_of(dynamics: RigidBodyDynamics, motion: CycleMotion, cycle: Cycle) -> Periodic:
-    """What returns at the end of a plan's cycles: all that is not free, within a tolerance for each of them."""
+    """What returns at the end of a plan's cycles: all that is not left open, within a tolerance for each of them."""
     units = [one.unit for one in coordinates_of_mechanism(dynamics.mechanism)]
     tolerance = [RETURNED * MIN_TOLERANCES[unit] if unit in MIN_TOLERANCES else ACTIVATION for unit in units]
-    return Periodic(cycle.cycles * np.array(tolerance), passes=PASSES, image=motion.image, free=cycle.free)
+    return Periodic(cycle.cycles * np.array(tolerance), passes=PASSES, image=motion.image, left_open=cycle.left_open)

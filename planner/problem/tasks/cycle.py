@@ -40,14 +40,14 @@ class Cycle:
         turn: rad, about the vertical.
         mirror: Whether the machine's sides have changed places at the end.
         cycles: How many of them a plan has, one after another.
-        free: Names of coordinates that need not return: there `travel` is aimed at alone.
+        left_open: Names of coordinates that need not return: there `travel` is aimed at alone.
     """
 
     travel: tuple[float, float] = (0.0, 0.0)
     turn: float = 0.0
     mirror: bool = False
     cycles: int = 1
-    free: tuple[str, ...] = ()
+    left_open: tuple[str, ...] = ()
 
 
 class CycleMotion(NamedTuple):
@@ -88,7 +88,7 @@ def cycle_of(value: Any) -> Cycle:
     Raises:
         PlannerError: Another type, an unknown key, or a number out of range.
     """
-    keys = ("travel", "turn", "mirror", "cycles", "free")
+    keys = ("travel", "turn", "mirror", "cycles", "left_open")
     if not isinstance(value, Mapping):
         raise PlannerError(f"periodic is {short_repr(value)}, expected a table of some of: {', '.join(keys)}.")
     given = {choice("a key of periodic", key, keys): part for key, part in value.items()}
@@ -102,13 +102,13 @@ def cycle_of(value: Any) -> Cycle:
         raise PlannerError(f"mirror of periodic is {short_repr(mirror)}, expected true or false.")
     if mirror and turn:
         raise PlannerError("periodic has mirror and a turn, whose image turns the other way: expected one of them.")
-    free = given.get("free", ())
-    if not isinstance(free, (list, tuple)) or not all(isinstance(name, str) for name in free):
-        raise PlannerError(f"free of periodic is {short_repr(free)}, expected a list of names of coordinates.")
+    left_open = given.get("left_open", ())
+    if not isinstance(left_open, (list, tuple)) or not all(isinstance(name, str) for name in left_open):
+        raise PlannerError(f"left_open of periodic is {short_repr(left_open)}, expected a list of coordinates' names.")
     cycles = count("cycles of periodic", given.get("cycles", 1))
-    if free and cycles > 1:
-        raise PlannerError("periodic has free and cycles, which begin where one has ended: expected one of them.")
-    return Cycle((ahead, left), turn, mirror, cycles, tuple(free))
+    if left_open and cycles > 1:
+        raise PlannerError("periodic has left_open and cycles, which begin where one has ended: expected one of them.")
+    return Cycle((ahead, left), turn, mirror, cycles, tuple(left_open))
 
 
 def cycle_motion(
@@ -147,8 +147,8 @@ def cycle_motion(
     places = stepping(dragged, t, normals, of_points, lift, dt)
     stands = stands_at(t, of_points)
     _check_flights(m, t, stands, ranges)
-    first = (WHOLE // 2) * halves * N
-    part = slice(first - 1, first + N + 2)  # and a knot on either side, of which velocities are differences
+    middle = (WHOLE // 2) * halves * N
+    part = slice(middle - 1, middle + N + 2)  # and a knot on either side, of which velocities are differences
     q = over_support(m, rows[:, : m.nq], places, stands, normals[0], dt)[part]
     q = with_legs(m, q, standing, places[part], ranges, ends=False)
     xs = np.tile(x0, (N + 3, 1))
@@ -158,7 +158,7 @@ def cycle_motion(
     duty = stands[part][1:-1].mean()
     said = (
         f"Gait: {'half a cycle, mirrored,' if cycle.mirror else 'a cycle'} of {dt * N:.3g} s that goes on, feet "
-        f"standing for {duty:.2g} of the time, steps of up to {longest_step(places[first:]):.2g} m, feet lifted by "
+        f"standing for {duty:.2g} of the time, steps of up to {longest_step(places[middle:]):.2g} m, feet lifted by "
         f"{lift:.2g} m."
     )
     image = _displacement(m, dynamics, x0, ground, cycle)
@@ -214,8 +214,8 @@ def _displacement(
     turned, matrix = np.eye(dynamics.ndx), None
     if _quaternion_at(mechanism) is not None:
         matrix = np.array([_rotated(ground.up, cycle.turn, axis) for axis in np.eye(3)]).T
-        for first in (0, mechanism.nv):
-            turned[first : first + 3, first : first + 3] = matrix
+        for offset in (0, mechanism.nv):
+            turned[offset : offset + 3, offset : offset + 3] = matrix
     return StateMap(origin, _displaced(mechanism, origin, ground, cycle, 1.0), turned)
 
 
