@@ -56,6 +56,7 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
     try:
         plan, seconds = solved(asked, arguments, console)
         show_plan(plan, seconds, console)
+        problem = problem if plan.problem is None else plan.problem  # of more cycles, or other times of phases
         controller, calls = _timed(Controller(problem, plan=plan, **given), arguments.rate, latency)
         console.write_progress(f"driving {name_of(arguments)}: {controller}, {1e3 * controller.latency:.3g} ms late")
 

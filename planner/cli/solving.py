@@ -170,8 +170,9 @@ def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = 
     """Print the solve in two lines; `which` names a plan that takes the place of the first, "refined" say."""
     took = "" if seconds is None else f", {1e3 * seconds:.3g} ms"
     which = f"{which} plan, " if which else ""
+    iterations = plan.total_iterations if {"passes", "phase_times"} & set(plan.options) else plan.nit
     console.write_result(
-        f"{which}{plan.status.name}: {plan.nit} iterations, cost {plan.cost:.8g}, "
+        f"{which}{plan.status.name}: {iterations} iterations, cost {plan.cost:.8g}, "
         f"|gradient| {plan.gradient_norm:.2e}{took}"
     )
     if plan.starts:

@@ -237,6 +237,10 @@ class Limits:
         rotations = {j + c for _, j in space.quaternions for c in range(3)}
         reference = getattr(cost, "x_ref", None)
         at_end = self._at_end(mechanism, cost, space.ndx)
+        if at_end and not ends:
+            raise PlannerError(
+                'final is "exact" and the motion is periodic, whose end is given by its start: expected no final.'
+            )
         if reference is None:
             reference = np.tile(x0, (N + 1, 1))
         origin = origin_of(space)

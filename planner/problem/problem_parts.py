@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, count, number
+from planner.base.arguments import choice, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.model.space import StateSpace
 from planner.model.state_map import StateMap
@@ -114,6 +114,10 @@ class Periodic:
             )
         choice("step", self.step, STEPS)
         count("passes", self.passes)
+        if self.image is not None and not isinstance(self.image, StateMap):
+            raise PlannerError(f"image of what is periodic is {short_repr(self.image)}, expected a StateMap, or None.")
+        if isinstance(self.left_open, str) or not isinstance(self.left_open, Sequence):
+            raise PlannerError(f"left_open of what is periodic is {short_repr(self.left_open)}, expected names.")
         number("cost_tolerance", self.cost_tolerance, minimum=0.0)
         tolerance.flags.writeable = False
         object.__setattr__(self, "tolerance", tolerance)
@@ -129,7 +133,10 @@ class Periodic:
                 f"the image of what is periodic is of {len(self.image.matrix)} deviations, expected {ndx}."
             )
         open_ = [choice("what a periodic motion leaves open", name, names) for name in self.left_open]
-        return replace(self, tolerance=np.where(np.isin(names, open_), np.inf, self.tolerance))
+        tolerance = np.where(np.isin(names, open_), np.inf, self.tolerance)
+        if not np.isfinite(tolerance).any():
+            raise PlannerError("a periodic motion leaves all of its coordinates open, expected some that return.")
+        return replace(self, tolerance=tolerance)
 
     @property
     def matrix(self) -> np.ndarray:

@@ -44,8 +44,8 @@ class Status(StrEnum):
         "give it another duration."
     )
     NOT_OPTIMAL = (
-        "The motion comes back to where it began, but another start and end of it would cost less; solve with "
-        "step='newton', which optimizes them, or with more passes."
+        "The motion comes back to where it began, but another start and end of it would cost less; solve with more "
+        "passes, and with step='newton', which optimizes them."
     )
     GOAL_MISSED = "The solve converged, but a goal is missed by more than its tolerance."
     UNRESOLVED = (

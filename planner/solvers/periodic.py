@@ -63,7 +63,9 @@ class PeriodicPass(NamedTuple):
     number: int  # Counted from 0
     cost: float  # J without the terminal goal term
     miss: float  # Largest closure error between end and start, as a multiple of its tolerance
-    left: float  # Expected reduction of the cost by the next undamped Newton step; nan for "follow" or after divergence
+    # Reduction of the cost that the LQ problem expects of the first step that a rollout confirms, 0 where none does; nan
+    # for "follow", after divergence, and for a pass that is taken back.
+    left: float
     iterations: int  # Number of iterations of the solve
     status: Status  # Status of the solve
 
@@ -149,22 +151,32 @@ class _PeriodicSearch:
         _, periodic = periodic_problem(plan)
         ran = bool(np.isfinite(plan.xs).all())
         miss = periodic.miss(plan.space, plan.xs) if ran else math.inf
-        answer = response(plan) if self.by_newton and ran else None
-        trial = None if answer is None else self._trial(answer)
+        try:
+            answer = response(plan) if self.by_newton and ran else None
+            trial = None if answer is None else self._trial(answer)
+        except PlannerError:  # no step is known: the passes before count
+            if not self.lines:
+                raise
+            answer = trial = None
+            ran = False
         left = math.nan if answer is None or self.accepted is not answer else 0.0 if trial is None else trial.decrease
         cost = plan.cost - terminal_goal_cost(plan)
+        open_ = not plan.converged or miss > 1.0
+        steady = bool(self.lines) and abs(cost - self.lines[-1].cost) <= periodic.cost_tolerance * abs(cost)
+        most = (FOLLOW_LEFT if steady else LEFT) * abs(cost)
+        if answer is not None and left <= most and not open_ and self.first > 0:  # what longer steps do counts, too
+            trial = improved_boundary(answer) or trial
+            left = 0.0 if trial is None else trial.decrease
         line = PeriodicPass(len(self.lines), cost, miss, left, plan.nit, plan.status)
         self.lines.append(line)
-        open_ = not plan.converged or miss > 1.0
         rank = open_, miss if open_ or not self.by_newton else cost
         if self.best is None or rank < self.best[0]:
-            self.best = rank, plan, not left > FOLLOW_LEFT * abs(cost)
+            self.best = rank, plan, left <= FOLLOW_LEFT * abs(cost)
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if self.callback is not None:
             self.callback(line)
-        steady = len(self.lines) > 1 and abs(cost - self.lines[-2].cost) <= periodic.cost_tolerance * abs(cost)
-        small_reduction = answer is None or left <= (FOLLOW_LEFT if steady else LEFT) * abs(cost)
+        small_reduction = not self.by_newton or left <= most
         if not ran or (small_reduction and not open_):
             self.next = None
         elif answer is None:

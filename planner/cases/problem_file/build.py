@@ -45,11 +45,10 @@ In place of a machine of one's own the file may name a case of the package, with
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +64,6 @@ from planner.cases.problem_file.cycles import (
     ends_in,
     motion_in,
     periodic_of,
-    unrolled,
     without_cycles,
 )
 from planner.cases.problem_file.feasibility_checks import (
@@ -79,6 +77,7 @@ from planner.cases.problem_file.keys import KEYS, RESOLVED, TABLES
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.resolved_defaults import with_resolved
+from planner.cases.problem_file.solving import ProblemFile
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.stops import at_rest_on_stops, off_stops
@@ -108,15 +107,13 @@ from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.limits import Limits
 from planner.problem.model_lint import ranges_in_degrees
 from planner.problem.objective import durations_or_default, with_objective
-from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import PROBLEM_FILE, Recipe
 from planner.problem.reaching_cost import straight_reference, weighed
+from planner.problem.rediscretize import MAX_STAGES
 from planner.problem.tasks.cycle import Cycle
-from planner.solvers.free_time import solve_for
-from planner.solvers.periodic import solve_periodic
+from planner.problem.tasks.phases import free_times
 from planner.solvers.periodic_boundary import PARAMETER
-from planner.solvers.slq import solve
 
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
@@ -126,29 +123,6 @@ TOLD = ("model", "start", "contacts", "goal", "closed", "settle", "stops", "gait
 # counts what is gained, not only what is promised: towards the end less than a hundredth of the promise comes, perhaps
 # because Gauss-Newton leaves out how the forces of chains turn.
 DECREASE = 1e-7
-
-
-class ProblemFile(NamedTuple):
-    """The problem of a problem.toml, and how to solve it."""
-
-    problem: Problem
-    starts: int
-    seed: int
-    objective: dict[str, float] | None  # weights by names of OBJECTIVES, for solve_for; None for the problem as it is
-    durations: list[float] | None  # the shortest and the longest, s, for an objective with time
-    notes: tuple[str, ...] = ()  # sentences about contacts, and about what was done to start and goal
-    work: float | None = None  # of the run
-    cycles: int = 1  # of a periodic problem, which is of one, that the plan has
-
-    def solved(self, callback: Callable[[Any], object], **options: Any) -> Plan:
-        """The plan, by the solver that the problem asks for; options are those of solve()."""
-        if self.problem.periodic is not None:
-            plan = solve_periodic(self.problem, callback=callback, **options)
-            whole = self.cycles > 1 and plan.converged
-            return unrolled(self.problem, plan, self.cycles, options) if whole else plan
-        if self.objective is None:
-            return solve(self.problem, callback=callback, **options)
-        return solve_for(self.problem, self.objective, durations=self.durations, callback=callback, **options)
 
 
 def load(path: str | Path, **instead: Any) -> ProblemFile:
@@ -170,6 +144,8 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     table = table | {name: value for name, value in instead.items() if value is not None}
     check_file(table, KEYS, TABLES, str(path))
     table, cycles = without_cycles(table)
+    phases, free = free_times(table.get("phase"))
+    table = table | {"phase": phases} if free else table
     table = with_files(with_defaults(with_model_limits(table), str(path)), path.parent)
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {short_repr(table['model'])}, expected the name of an MJCF or URDF file.")
@@ -178,12 +154,16 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
             table[key] = stored_records(records(table[key]), file, path.parent)
     folders = {"package_path": folders_of(path.parent, table["package_path"])} if "package_path" in table else {}
     problem = _problem(table, machine_of(model_location(table["model"], path.parent), table | folders, None), str(path))
+    if cycles * problem.N > MAX_STAGES:
+        raise PlannerError(
+            f"periodic has {cycles} cycles of {problem.N} stages, expected at most {MAX_STAGES} stages together."
+        )
     given = problem.parameters
     reasons = given[RESOLVED]["reasons"]
     notes = tuple(reasons[key] for key in TOLD if key in reasons)
     return ProblemFile(
         problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes,
-        given.get("work"), cycles,
+        given.get("work"), cycles, free,
     )  # fmt: skip
 
 
@@ -219,7 +199,8 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
 def load_problem(path: str | Path) -> Problem:
     """The problem of a problem.toml: of a machine of one's own, or of a case that the file names.
 
-    Its starts, seed and durations are for `planner run`; give them to solve or solve_for yourself. The name of a
+    Its starts, seed and durations, the times of phases that it leaves free and the number of its cycles are for
+    `planner run`, and for load(path).solved(); give the first three to solve or solve_for yourself. The name of a
     problem file of the package, e.g. "quadrotor", stands for it.
 
     Raises:
@@ -308,7 +289,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         reasons["start"] = told
     if mechanism.contacts_choice:
         reasons["contacts"] = f"{mechanism.contacts_choice}."
-    if tasked:
+    if tasked or cycle is not None:
         notes.pop("goal", None)  # it has none of the whole machine
     elif table["goal"] == {} and cycle is None:
         reasons["goal"] = "goal names no joint, so that the machine is to end where it starts."
@@ -356,10 +337,8 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     if cyclic is not None and cycle is not None:
         start, end = ends_in(table, cyclic)
         table = table | {PARAMETER: [start.tolist(), end.tolist()]}
-        for _ in range(cycle.cycles - 1):
-            end, along = cyclic.image.apply(dynamics.space, end), None
-        cyclic = cyclic.repeated(dynamics.space, cycle.cycles)
-        cost, x0 = cycle_cost(dynamics, x0, cyclic, end, weights), start
+        along = along if cycle.cycles == 1 else None
+        cost, x0 = cycle_cost(dynamics, x0, cyclic, cycle, end, weights), start
     elif way is None:
         straight = stands_on_ground(mechanism) and "position" not in table["weights"]
         walked = {} if along is None else {"reference": along.states}
@@ -374,7 +353,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, constraints=kept, goal_specs=wanted if cyclic is None else (),
         tolerance=None if tasked else table["tolerance"], expected_reduction_tolerance=DECREASE,
-        periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic, cycle),
+        periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic.image, cycle),
         actual_reduction_tolerance=_gain(mechanism, cycle),
     )  # fmt: skip
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))

@@ -14,6 +14,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.tasks import steps_of
 from planner.dynamics import RigidBodyDynamics
 from planner.model.coordinates import coordinates_of_mechanism
+from planner.model.state_map import StateMap
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES
@@ -25,11 +26,11 @@ from planner.problem.reaching_cost import staying_cost, with_slip
 from planner.problem.tasks.cycle import Cycle, CycleMotion, cycle_motion, cycle_of
 from planner.solvers.gains import feedback_rollout
 from planner.solvers.options import single_start
-from planner.solvers.periodic_boundary import PARAMETER, ends_of
+from planner.solvers.periodic_boundary import PARAMETER, ends_of, terminal_goal_cost
+from planner.solvers.phase_times import TRIED
 from planner.solvers.slq import solve
 
 RETURNED = 0.5  # of the default tolerance of a goal: how far from the image of its start a cycle may end
-PASSES = 20  # solves: a trot takes 3 to 6, a bound whose reference falls 12
 GAIN_OF_CYCLE = 3e-6  # of the cost, by an iteration that is worth it: where a cycle begins is told by small differences
 ACTIVATION = 0.01  # of an activation, likewise
 
@@ -63,37 +64,31 @@ def motion_in(
     return cycle_motion(steps, cycle, dynamics, x0, N, ranges)
 
 
-def unrolled(problem: Problem, plan: Plan, cycles: int, options: dict[str, Any]) -> Plan:
+def unrolled(problem: Problem, plan: Plan, cycles: int, **options: Any) -> Plan:
     """The plan of so many cycles, one after another, from the plan of one of a file's problem.
 
-    Each cycle is the image of the one before; the gains keep the first rollout of all of them on their way. `options`
-    are those of solve().
+    The first rollout of all is on the images of the one before, by their gains; `options` are those of solve().
     """
     assert problem.recipe is not None  # of a file
     assert plan.problem is not None  # solve_periodic made it
-    periodic = plan.problem.periodic
-    assert periodic is not None  # likewise
-    assert periodic.image is not None  # of a file
+    image = plan.problem.periodic.image if plan.problem.periodic is not None else None
+    assert image is not None  # of a file
     table = problem.parameters["periodic"] | {"cycles": cycles}
     ends = [end.tolist() for end in ends_of(plan.problem)]
     whole = problem.recipe.rebuilt(**{"periodic": table, PARAMETER: ends})
-    us, xs, K, S = [plan.us], [plan.xs], [plan.K], periodic.matrix
-    C = np.eye(plan.us.shape[1]) if periodic.image.controls is None else periodic.image.controls
+    us, xs, K = [plan.us], [plan.xs], [plan.K]
     for _ in range(cycles - 1):
-        us.append(us[-1] @ C.T)
-        xs.append(periodic.image.apply(plan.space, xs[-1][-plan.N :]))
-        K.append(C @ K[-1] @ S.T)
+        us.append(image.images_of_controls(us[-1]))
+        xs.append(image.apply(plan.space, xs[-1][-plan.N :]))
+        K.append(np.swapaxes(image.images_of_controls(np.swapaxes(K[-1] @ image.matrix.T, 1, 2)), 1, 2))
     us = feedback_rollout(whole, np.concatenate(us), np.concatenate(K), np.concatenate(xs))[1]
     found = solve(replace(whole, us=us), **single_start(options))
-    row = finite([found.cost, _miss(found), math.nan, found.nit])
-    tried = {name: plan.options[name] for name in ("step", "passes")} | {"tried": [*plan.options["tried"], row]}
-    return replace(found, options=found.options | tried)
-
-
-def _miss(plan: Plan) -> float:
-    """The largest closure error of a periodic plan, over its tolerance."""
-    assert plan.problem is not None and plan.problem.periodic is not None  # noqa: PT018 - of a file's cycles
-    return plan.problem.periodic.miss(plan.space, plan.xs)
+    assert found.problem is not None  # it was solved
+    assert found.problem.periodic is not None  # of cycles
+    miss = found.problem.periodic.miss(found.space, found.xs)
+    row = finite([found.cost - terminal_goal_cost(found), miss, math.nan, found.nit])
+    tried = {name: plan.options[name] for name in ("step", "passes", TRIED) if name in plan.options}
+    return replace(found, options=found.options | tried | {"tried": [*plan.options["tried"], row]})
 
 
 def without_cycles(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
@@ -113,21 +108,48 @@ def ends_in(table: dict[str, Any], motion: CycleMotion) -> tuple[np.ndarray, np.
 
 
 def cycle_cost(
-    dynamics: RigidBodyDynamics, x0: np.ndarray, motion: CycleMotion, goal: np.ndarray, weights: dict[str, Any]
-) -> Cost:
-    """The cost of a cycle; its end weighs as at x0 (nx,), where the machine stands, the time to stay there would."""
+    dynamics: RigidBodyDynamics, x0: np.ndarray, motion: CycleMotion, cycle: Cycle, goal: np.ndarray,
+    weights: dict[str, Any],
+) -> Cost:  # fmt: skip
+    """The cost of a cycle, and of its images after it.
+
+    Its end weighs as at x0 (nx,), where the machine stands, the time to stay there would; what is left open does not.
+
+    Args:
+        dynamics: The machine.
+        x0: (nx,) how it stands.
+        motion: The reference of one cycle.
+        cycle: What it is to do, and how often.
+        goal: (nx,) the last reference of one cycle.
+        weights: As of reaching_cost.weighed.
+    """
     arguments = {**weights, "reference": motion.states}
     hold, slip = arguments.pop("hold", 0.0), arguments.pop("slip", 0.0)
-    N = len(motion.states) - 1
-    tracking = TrackingCost.joints(dynamics, motion.states[-1], N, **arguments)
+    tracking = TrackingCost.joints(dynamics, motion.states[-1], len(motion.states) - 1, **arguments)
     standing = TrackingCost(tracking.Q, tracking.R, x0, tracking.u_ref, tracking.space)
-    stays = staying_cost(dynamics, standing, hold, 0.0)
-    cost = TrackingCost(stays.Q, stays.R, motion.states, stays.u_ref, stays.space).with_goal(goal)
-    return with_slip(cost, dynamics, slip, x0[None])
+    one, space, image = staying_cost(dynamics, standing, hold, 0.0), dynamics.space, motion.image
+    last, names = one.Q[-1].copy(), [one.name for one in coordinates_of_mechanism(dynamics.mechanism)]
+    left_open = np.isin(names, cycle.left_open)
+    last[left_open] = last[:, left_open] = 0.0
+    Q, R, u_ref = [one.Q[:-1]], [one.R], [one.u_ref]
+    for _ in range(cycle.cycles - 1):
+        Q.append(image.matrix @ Q[-1] @ image.matrix.T)
+        R.append(image.images_of_controls(np.swapaxes(image.images_of_controls(R[-1]), 1, 2)))
+        u_ref.append(image.images_of_controls(u_ref[-1]))
+        last, goal = image.matrix @ last @ image.matrix.T, image.apply(space, goal)
+    whole = np.concatenate([*Q, last[None]])
+    cost = TrackingCost(
+        0.5 * (whole + np.swapaxes(whole, 1, 2)), np.concatenate(R), motion.repeated(space, cycle.cycles).states,
+        np.concatenate(u_ref), space,
+    )  # fmt: skip
+    return with_slip(cost.with_goal(goal), dynamics, slip, x0[None])
 
 
-def periodic_of(dynamics: RigidBodyDynamics, motion: CycleMotion, cycle: Cycle) -> Periodic:
+def periodic_of(dynamics: RigidBodyDynamics, image: StateMap, cycle: Cycle) -> Periodic:
     """What returns at the end of a plan's cycles: all that is not left open, within a tolerance for each of them."""
     units = [one.unit for one in coordinates_of_mechanism(dynamics.mechanism)]
     tolerance = [RETURNED * MIN_TOLERANCES[unit] if unit in MIN_TOLERANCES else ACTIVATION for unit in units]
-    return Periodic(cycle.cycles * np.array(tolerance), passes=PASSES, image=motion.image, left_open=cycle.left_open)
+    image = image.power(dynamics.space, cycle.cycles)
+    return Periodic(
+        cycle.cycles * np.array(tolerance), passes=cycle.passes, image=image, left_open=cycle.left_open
+    )  # fmt: skip

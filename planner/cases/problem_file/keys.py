@@ -26,9 +26,10 @@ KEYS = {
     "stands), lift (m), or of feet (turns from 0 to 1 by bodies) in place of kind: which feet swing when",
     "phase": "tables [[phase]], below, in place of gait: which feet stand when",
     "periodic": "table of travel (m ahead along the ground, or [ahead, to the left], in the axes of the base), turn "
-    "(rad), mirror (whether its two sides have changed places), cycles (how many the plan has; 1) and left_open "
-    "(names of coordinates that need not return): a cycle of a gait that goes on, or half of one with mirror, in place "
-    "of a goal; duration is that of one, start is how the machine stands, the solver finds where the cycle begins",
+    "(rad), mirror (whether its two sides, in the plane along its way, have changed places), cycles (how many the plan "
+    "has; 1), left_open (names of coordinates that need not return) and passes (solves, at most 20): a cycle of a gait "
+    "that goes on, or half of one with mirror, in place of a goal; duration is that of one, start is how the machine "
+    "stands, the solver finds where the cycle begins",
     "attach": "table, below, or several [[attach]]: a payload or tool at a frame of the model",
     "obstacle": "table, below, or several [[obstacle]]: a shape at rest beside the model; [avoid] keeps clear of it",
     "exclude": "list of pairs of bodies or shapes that do not touch each other, whatever the model says",
@@ -113,7 +114,8 @@ OBSTACLE = {
     "name": "for messages; by default obstacle, or obstacle 1, obstacle 2",
 }
 PHASE = {
-    "until": "s, when it ends; the last one lasts to the end",
+    "until": "s, when it ends, or [earliest, latest] for the time at which the plan costs least; the last one lasts to "
+    "the end",
     "stand": "list of the bodies that stand on the ground; other feet swing, [] for a flight",
 }
 LIMITS = {

@@ -10,6 +10,7 @@ pendulum above the feet that stand, has forgotten the ends.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -19,15 +20,19 @@ import numpy as np
 from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.model.mechanism import Mechanism
+from planner.dynamics.kinematics import LinkPlaces
+from planner.model.mechanism import BALL, Mechanism
 from planner.model.space import StateSpace, exp_quaternion, product
 from planner.model.state_map import StateMap
 from planner.problem.tasks.flight import check_flight_time
-from planner.problem.tasks.gait import Gait, Phase, centres_of, feet_of, height_of, stands_at
+from planner.problem.tasks.gait import Gait, centres_of, feet_of, height_of, stands_at
 from planner.problem.tasks.legs import Foot, longest_step, over_support, points_of_feet, stepping, with_legs
 from planner.problem.tasks.mirror import UNLIKE, Mirror, asymmetry, base_dofs, mirror_of
+from planner.problem.tasks.phases import Phase
 
 WHOLE = 5  # cycles of the motion of which the middle one is the reference
+PASSES = 20  # solves: a trot takes 3 to 6, a bound whose reference falls 12
+FARTHEST = 1e3  # m, of a cycle
 AXES = "m along the ground, ahead (the base's x axis) and to the left"
 
 
@@ -40,7 +45,8 @@ class Cycle:
         turn: rad, about the vertical.
         mirror: Whether the machine's sides have changed places at the end.
         cycles: How many of them a plan has, one after another.
-        left_open: Names of coordinates that need not return: there `travel` is aimed at alone.
+        left_open: Names of coordinates that need not return: there `travel` is a reference on the way alone.
+        passes: Solves, at most, until they have found where the cycle begins.
     """
 
     travel: tuple[float, float] = (0.0, 0.0)
@@ -48,6 +54,7 @@ class Cycle:
     mirror: bool = False
     cycles: int = 1
     left_open: tuple[str, ...] = ()
+    passes: int = PASSES
 
 
 class CycleMotion(NamedTuple):
@@ -88,7 +95,7 @@ def cycle_of(value: Any) -> Cycle:
     Raises:
         PlannerError: Another type, an unknown key, or a number out of range.
     """
-    keys = ("travel", "turn", "mirror", "cycles", "left_open")
+    keys = ("travel", "turn", "mirror", "cycles", "left_open", "passes")
     if not isinstance(value, Mapping):
         raise PlannerError(f"periodic is {short_repr(value)}, expected a table of some of: {', '.join(keys)}.")
     given = {choice("a key of periodic", key, keys): part for key, part in value.items()}
@@ -97,7 +104,10 @@ def cycle_of(value: Any) -> Cycle:
         ahead, left = array(f"travel of periodic, {AXES}", travel, (2,)).tolist()
     else:
         ahead, left = number("travel of periodic", travel), 0.0
-    turn, mirror = number("turn of periodic", given.get("turn", 0.0)), given.get("mirror", False)
+    if max(abs(ahead), abs(left)) > FARTHEST:
+        raise PlannerError(f"travel of periodic is {short_repr(travel)}, expected at most {FARTHEST:g} m.")
+    turn = number("turn of periodic", given.get("turn", 0.0), minimum=-2.0 * math.pi, maximum=2.0 * math.pi)
+    mirror = given.get("mirror", False)
     if not isinstance(mirror, bool):
         raise PlannerError(f"mirror of periodic is {short_repr(mirror)}, expected true or false.")
     if mirror and turn:
@@ -108,7 +118,8 @@ def cycle_of(value: Any) -> Cycle:
     cycles = count("cycles of periodic", given.get("cycles", 1))
     if left_open and cycles > 1:
         raise PlannerError("periodic has left_open and cycles, which begin where one has ended: expected one of them.")
-    return Cycle((ahead, left), turn, mirror, cycles, tuple(left_open))
+    passes = count("passes of periodic", given.get("passes", PASSES))
+    return Cycle((ahead, left), turn, mirror, cycles, tuple(left_open), passes)
 
 
 def cycle_motion(
@@ -155,7 +166,7 @@ def cycle_motion(
     xs[:, : m.nq] = q
     xs[1:-1, m.velocities] = space.difference(xs[2:], xs[:-2])[:, : m.nv] / (2.0 * dt)
     xs = xs[1:-1]
-    duty = stands[part][1:-1].mean()
+    duty = stands[part][1:-2].mean()
     said = (
         f"Gait: {'half a cycle, mirrored,' if cycle.mirror else 'a cycle'} of {dt * N:.3g} s that goes on, feet "
         f"standing for {duty:.2g} of the time, steps of up to {longest_step(places[middle:]):.2g} m, feet lifted by "
@@ -170,10 +181,9 @@ def cycle_motion(
 
 def _ground(mechanism: Mechanism, x: np.ndarray, up: np.ndarray) -> _Ground:
     """Ahead of the base, to its left and up, at a state (nx,)."""
-    at = _quaternion_at(mechanism)
-    w, a, b, c = x[at : at + 4] if at is not None else (1.0, 0.0, 0.0, 0.0)
-    ahead = np.array([1.0 - 2.0 * (b * b + c * c), 2.0 * (a * b + w * c), 2.0 * (a * c - w * b)])
-    ahead -= (ahead @ up) * up
+    base = base_dofs(mechanism)
+    ahead = LinkPlaces(mechanism, x[None, : mechanism.nq]).T[0, base - 1, :3, 0] if base else np.array([1.0, 0.0, 0.0])
+    ahead = ahead - (ahead @ up) * up
     if np.linalg.norm(ahead) < 1e-3:
         raise PlannerError("the base's x axis points up at the start, expected it along the ground with periodic.")
     ahead /= np.linalg.norm(ahead)
@@ -182,8 +192,8 @@ def _ground(mechanism: Mechanism, x: np.ndarray, up: np.ndarray) -> _Ground:
 
 def _quaternion_at(mechanism: Mechanism) -> int | None:
     """Where the configuration of a free base has its quaternion; None of another base."""
-    base = base_dofs(mechanism)
-    return int(mechanism.q_address[base - 1]) if base == 6 and mechanism.kind[base - 1] else None
+    free = base_dofs(mechanism) >= 6 and mechanism.kind[3] == BALL
+    return int(mechanism.q_address[3]) if free else None
 
 
 def _displaced(mechanism: Mechanism, x: np.ndarray, ground: _Ground, cycle: Cycle, share: float) -> np.ndarray:
@@ -232,9 +242,9 @@ def _swings(
     names, links = [foot.name for foot in standing], [foot.link for foot in standing]
     other = list(range(len(links))) if mirror is None else [links.index(int(mirror.links[link])) for link in links]
     if gait.phases:
-        part, ends = T / (1 if mirror is None else 2), [phase.until for phase in gait.phases]
-        if not np.isfinite(ends[-1]):
-            ends[-1] = part
+        part = T / (1 if mirror is None else 2)
+        gait.swings_of_phases(standing, part)  # refuses what is wrong in those of one cycle
+        ends = [*(phase.until for phase in gait.phases[:-1]), part]
         swapped = {name: names[k] for name, k in zip(names, other, strict=True)}
         phases = []
         for k in range(round(WHOLE * T / part)):
@@ -267,8 +277,7 @@ def _told_asymmetry(dynamics: RigidBodyDynamics, mirror: Mirror, xs: np.ndarray)
         PlannerError: They are too different.
     """
     some = xs[np.linspace(0, len(xs) - 1, 5).astype(int)]
-    us = np.zeros((len(some), dynamics.nu))
-    unlike = asymmetry(dynamics, mirror, some, us)
+    unlike = asymmetry(dynamics, mirror, some, np.zeros((len(some), dynamics.nu)))
     if unlike > UNLIKE:
         raise PlannerError(
             f"mirror is true, and the machine's sides move differently, by {100 * unlike:.2g} % of what changes in a "

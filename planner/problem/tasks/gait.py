@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from planner.problem.tasks.legs import (
     stepping,
     with_legs,
 )
+from planner.problem.tasks.phases import Phase, phase_of
 
 # Turns of the rear left, rear right, front left and front right foot; walk has the lateral sequence, and a walk on two
 # feet the first two of its turns.
@@ -56,14 +57,8 @@ TURNS = {
     "pace": (0.0, 0.5, 0.0, 0.5),
 }
 SHIFT = 3.0  # times sqrt(h / g), before the first step on two feet: the weight then goes to one of them
+ROUNDING = 1e-9  # of a duration: by which the times of phases miss it
 OVERLAP = 0.2  # of a slot, in which feet of two turns stand by default
-
-
-class Phase(NamedTuple):
-    """A part of a motion, and who stands in it."""
-
-    until: float  # s
-    stand: tuple[str, ...]  # names of bodies; the other feet swing
 
 
 @dataclass(frozen=True)
@@ -179,7 +174,7 @@ class Gait:
             for name in phase.stand:
                 choice(f"a foot that stands in [[phase]] {k}", name, names)
         ends = [*self._begins[1:], min(self.phases[-1].until, duration)]
-        if ends[-1] < duration or np.any(np.diff([0.0, *ends]) <= 0.0):
+        if ends[-1] < duration * (1.0 - ROUNDING) or np.any(np.diff([0.0, *ends]) <= 0.0):
             raise PlannerError(
                 f"the phases end at {', '.join(f'{t:g}' for t in ends)} s, expected times that grow to the duration, "
                 f"{duration:g} s, or no `until` in the last phase."
@@ -270,7 +265,7 @@ def gait_of(value: Any) -> Gait:
         PlannerError: Another type, an unknown name or key, or a number out of range.
     """
     if isinstance(value, list):
-        return Gait(phases=tuple(_phase(table, k, len(value)) for k, table in enumerate(value, 1)))
+        return Gait(phases=tuple(phase_of(table, k, len(value)) for k, table in enumerate(value, 1)))
     table: Any = {"kind": value} if isinstance(value, str) else value
     keys = ("kind", "feet", "duty", "stride", "lift")
     if not isinstance(table, Mapping):
@@ -290,19 +285,3 @@ def gait_of(value: Any) -> Gait:
         if key in given:
             number(f"{key} of gait", given[key], greater_than=0.0, maximum=upper)
     return Gait(**given)
-
-
-def _phase(table: Any, k: int, of: int) -> Phase:
-    """Phase k of a list, from its table."""
-    where = f"[[phase]] {k}"
-    if not isinstance(table, Mapping):
-        raise PlannerError(f"{where} is {short_repr(table)}, expected a table of until and stand.")
-    for key in table:
-        choice(f"a key of {where}", key, ("until", "stand"))
-    stand = table.get("stand")
-    if not isinstance(stand, (list, tuple)) or not all(isinstance(name, str) for name in stand):
-        raise PlannerError(f"stand of {where} is {short_repr(stand)}, expected names of bodies, [] for none.")
-    if "until" not in table and k < of:
-        raise PlannerError(f"{where} has no `until`, expected the time of its end, s; only the last needs none.")
-    until = number(f"until of {where}", table["until"], greater_than=0.0) if "until" in table else math.inf
-    return Phase(until, tuple(stand))

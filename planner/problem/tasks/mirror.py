@@ -2,7 +2,7 @@
 
 A reflection R, about a plane through a point p, takes the screw (w, v) of a joint, v at p, to (-R w, R v). Joint a is
 the image of joint b if the reflected screws of a are combinations of those of b, and the joints that a carries are
-the images of those that b carries. A joint in the plane may be its own image; another one goes first, so that legs
+the images of those that b carries. An actuator's image has the reflected moments, and the same force law and ranges. A joint in the plane may be its own image; another one goes first, so that legs
 that lie in the plane of a planar machine change places.
 """
 
@@ -16,6 +16,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.joint_forces import actuator_moments
 from planner.dynamics.kinematics import LinkPlaces
+from planner.model.actuators import Actuators
 from planner.model.mechanism import Mechanism
 from planner.model.space import cross
 from planner.model.state_map import StateMap
@@ -65,15 +66,16 @@ def mirror_of(mechanism: Mechanism, x: np.ndarray, normal: np.ndarray) -> Mirror
     moments = actuator_moments(mechanism, origin[: mechanism.nq])
     images, C = moments @ S.T, np.zeros((mechanism.nu, mechanism.nu))
     for k, image in enumerate(images):
-        away = [np.abs(image - sign * moments).max(axis=1) for sign in (1.0, -1.0)]
-        side, j = divmod(int(np.argmin(np.concatenate(away))), mechanism.nu)
-        if away[side][j] > MATCH * np.abs(image).max() or C[j].any():
+        pairs = ((j, sign) for sign in (1.0, -1.0) for j in np.flatnonzero(~C.any(axis=1)))
+        alike = ((j, s) for j, s in pairs if np.abs(image - s * moments[j]).max() <= MATCH * np.abs(image).max())
+        found = next(((j, s) for j, s in alike if _laws_are_equal(mechanism.actuators, k, int(j), s)), None)
+        if found is None:
             name = mechanism.actuators.names[k] or f"actuator {k}"
             raise PlannerError(
                 f"mirror is true, and actuator {name!r} has no mirror image: expected a "
                 "machine with two equal sides, or no mirror and a whole cycle."
             )
-        C[j, k] = 1.0 - 2.0 * side
+        C[found[0], k] = found[1]
     act = mechanism.actuators.activation
     A = np.zeros((na, na))
     for j, k in np.argwhere(C != 0.0):
@@ -93,6 +95,23 @@ def asymmetry(dynamics: RigidBodyDynamics, mirror: Mirror, xs: np.ndarray, us: n
     images = dynamics.step(starts, mirror.image.images_of_controls(us))
     change = np.abs(space.difference(ends, starts)).max()
     return float(np.abs(space.difference(ends, images)).max() / max(change, 1e-12))
+
+
+def _laws_are_equal(actuators: Actuators, k: int, j: int, sign: float) -> bool:
+    """Whether actuators k and j exert the same forces with controls that are the same, or opposite with sign -1."""
+
+    def ranges(one: np.ndarray, turned: float) -> np.ndarray:
+        return one if turned > 0.0 else -one[::-1]
+
+    laws = [
+        np.concatenate([
+            [actuators.gain[i], turned * actuators.bias[i, 0], *actuators.bias[i, 1:], actuators.time_constant[i]],
+            [actuators.dynamics[i]], ranges(actuators.control_range[i], turned),
+            ranges(actuators.force_range[i], turned), ranges(actuators.activation_range[i], turned),
+        ])
+        for i, turned in ((k, sign), (j, 1.0))
+    ]  # fmt: skip
+    return bool(np.allclose(*laws, rtol=MATCH, atol=1e-9, equal_nan=True))
 
 
 def base_dofs(mechanism: Mechanism) -> int:

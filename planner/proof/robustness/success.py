@@ -157,9 +157,10 @@ def _goes_on(plan: Plan, tolerances: float) -> SuccessRule:
     able = capabilities_of(plan.problem.dynamics)
     names = coordinates_of(plan.problem.dynamics)
     nv = len(able.unactuated)
-    most = np.full(len(names), np.inf)
+    most, periodic = np.full(len(names), np.inf), plan.problem.periodic
     for i in (*range(nv), *(nv + np.flatnonzero(able.unactuated))):
-        most[i] = tolerances * MIN_TOLERANCES[names[i].unit]
+        if periodic is None or periodic.periodic_mask[i]:
+            most[i] = tolerances * MIN_TOLERANCES[names[i].unit]
 
     def succeeds(ends: np.ndarray) -> np.ndarray:
         return np.all(np.abs(plan.space.difference(ends, plan.xs[-1])) <= most, axis=1)
