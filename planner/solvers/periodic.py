@@ -63,8 +63,8 @@ class PeriodicPass(NamedTuple):
     number: int  # Counted from 0
     cost: float  # J without the terminal goal term
     miss: float  # Largest closure error between end and start, as a multiple of its tolerance
-    # Reduction of the cost that the LQ problem expects of the first step that a rollout confirms, 0 where none does; nan
-    # for "follow", after divergence, and for a pass that is taken back.
+    # Reduction of the cost that the LQ problem expects of the first step that a rollout confirms, 0 where none does;
+    # nan for "follow", after divergence, and for a pass that is taken back.
     left: float
     iterations: int  # Number of iterations of the solve
     status: Status  # Status of the solve

@@ -11,10 +11,12 @@ import planner
 from planner.cases.problem_file import load
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.state_map import StateMap
+from planner.problem.costs.tracking import tracking_of
 from planner.problem.progress import Status
 from planner.problem.tasks.cycle import Cycle, cycle_motion, cycle_of
 from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.mirror import UNLIKE, asymmetry, mirror_of
+from planner.solvers.phase_times import PhaseTimes
 
 SCENE = ROOT / "mjcf" / "quadruped" / "scene.xml"
 TROT = f'model = "{SCENE}"\nstart = "stand"\ngait = "trot"\nduration = 0.25\n'
@@ -124,6 +126,24 @@ def test_an_oblique_joint_alone_has_no_image():
         mirror_of(planner.Mechanism.from_mjcf(oblique), np.zeros(5), LEFT)
 
 
+def test_two_actuators_on_each_joint_have_images_of_their_own():
+    both = '<position joint="HIP" kp="40" dampratio="1"/><velocity joint="HIP" kv="2"/>'
+    actuators = "".join(both.replace("HIP", name) for name in ("one_hip", "two_hip"))
+    old = '<motor joint="one_hip"/><motor joint="two_hip" gear="-1"/>'
+    mechanism = planner.Mechanism.from_mjcf(PLANAR.replace(old, actuators))
+    controls = mirror_of(mechanism, mechanism.home, LEFT).image.controls
+    np.testing.assert_array_equal(controls, np.eye(4)[[2, 3, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    "attribute", ['gear="1" ctrllimited="true" ctrlrange="-1 2"', 'forcelimited="true" forcerange="-1 1"']
+)
+def test_an_actuator_with_other_ranges_has_no_image(attribute):
+    text = PLANAR.replace('<motor joint="one_hip"/>', f'<motor joint="one_hip" {attribute}/>')
+    with pytest.raises(planner.PlannerError, match="has no mirror image"):
+        mirror_of(planner.Mechanism.from_mjcf(text), np.zeros(5), LEFT)
+
+
 @pytest.mark.parametrize(
     ("kind", "cycle"),
     [
@@ -168,6 +188,10 @@ def test_standing_machines_are_their_own_image(quadruped):
         ("periodic = { travel = 0.1 }\ngoal = { root = [0.25, 0, 0.326, 1, 0, 0, 0] }", "expected one of them"),
         ('periodic = { left_open = ["belt"] }', "'belt'"),
         ('periodic = { left_open = ["root x"], cycles = 2 }', "left_open and cycles"),
+        ("periodic = { travel = 1e300 }", "at most 1000 m"),
+        ("periodic = { travel = 0.1, turn = 7.0 }", "turn of periodic"),
+        ("periodic = { travel = 0.1, mirror = true, cycles = 5000 }", "5000 cycles of 25 stages"),
+        ('periodic = { travel = 0.1 }\nlimits = { final = "exact" }', "expected no final"),
         ("periodic = { travel = 3.0, mirror = true }", "further than its leg reaches"),
         ("periodic = { travel = 0.1 }\nobjective = \"time\"", "fixed duration"),
     ],
@@ -187,6 +211,74 @@ def test_what_is_no_cycle_is_refused(tmp_path, text, said):
 def test_a_cycle_is_of_a_gait_that_fits(tmp_path, gait, said):
     with pytest.raises(planner.PlannerError, match=said):
         loaded(tmp_path, TROT.replace('gait = "trot"\n', gait) + HALF)
+
+
+@pytest.mark.parametrize("duration", [0.3, 0.6, 0.7])
+@pytest.mark.parametrize("until", ["", "until = DURATION\n"])
+def test_phases_of_a_cycle_may_end_where_it_ends(tmp_path, duration, until):
+    """Ten cycles of 0.6 s end at 6 s, whatever 9 * 0.6 + 0.6 is."""
+    monopod = ROOT / "mjcf" / "monopod" / "scene.xml"
+    text = f'model = "{monopod}"\nduration = {duration}\nperiodic = {{ travel = 0.1 }}\n'
+    text += '[[phase]]\nuntil = 0.2\nstand = ["shank"]\n[[phase]]\n' + until.replace("DURATION", str(duration))
+    assert loaded(tmp_path, text + "stand = []\n").problem.duration == pytest.approx(duration)
+
+
+def test_phases_that_end_before_their_cycle_are_refused_in_its_own_times(tmp_path):
+    text = TROT.replace('gait = "trot"\n', "") + HALF + "[[phase]]\nuntil = 0.2\nstand = []\n"
+    said = re.escape("end at 0.2 s, expected times that grow to the duration, 0.25 s")
+    with pytest.raises(planner.PlannerError, match=said):
+        loaded(tmp_path, text)
+
+
+def test_cycles_that_turn_are_images_of_each_other(tmp_path):
+    """Their weights turn with them: the cost of the images is that of the first cycle, but for its last stage."""
+    text = TROT.replace("0.25", "0.5") + "periodic = { travel = 0.05, turn = 0.5 }\n"
+    one = loaded(tmp_path, text).problem
+    three = one.recipe.rebuilt(periodic={"travel": 0.05, "turn": 0.5, "cycles": 3})
+    rng, image, N = np.random.default_rng(3), one.periodic.image, one.N
+    xs = one.dynamics.space.integrate(np.tile(one.x0, (N, 1)), rng.normal(0.0, 0.02, (N, one.dynamics.ndx)))
+    us = rng.normal(0.0, 1.0, (N, one.dynamics.nu))
+    parts, states = [], xs
+    for k in range(3):
+        whole = np.tile(three.x0, (three.N + 1, 1))
+        whole[:] = tracking_of(three.cost).x_ref
+        controls = tracking_of(three.cost).u_ref.copy()
+        base = tracking_of(three.cost).value(whole, controls)
+        whole[k * N : (k + 1) * N], controls[k * N : (k + 1) * N] = states, us
+        parts.append(tracking_of(three.cost).value(whole, controls) - base)
+        states = image.apply(one.dynamics.space, states)
+    assert parts == pytest.approx([parts[0]] * 3, rel=1e-9)
+
+
+def test_free_times_end_where_the_plan_costs_least(tmp_path):
+    """A hop's stance: the plan of the middle of the range is tried first, and none that was tried costs less."""
+    monopod = ROOT / "mjcf" / "monopod" / "scene.xml"
+    text = f'model = "{monopod}"\nduration = 0.6\nperiodic = {{ travel = 0.2, cycles = 2 }}\n'
+    text += '[[phase]]\nuntil = [0.2, 0.4]\nstand = ["shank"]\n[[phase]]\nstand = []\n'
+    asked, lines = loaded(tmp_path, text), []
+    assert asked.phase_times == {0: (0.2, 0.4)}
+    plan = asked.solved(lines.append)
+    times = [line for line in lines if isinstance(line, PhaseTimes)]
+    assert times[0].times == pytest.approx((0.3,))
+    assert len(times) > 1
+    best = min(times, key=lambda line: line.cost)
+    assert plan.problem.parameters["phase"][0]["until"] == pytest.approx(best.times[0])
+    assert 0.2 <= best.times[0] <= 0.4
+    assert plan.N == 2 * asked.problem.N
+    assert planner.load_plan(plan.save(tmp_path / "plan.npz")).problem is not None
+
+
+@pytest.mark.parametrize(
+    ("until", "said"),
+    [("[0.4, 0.2]", "earliest and the latest"), ("[0.2]", "until of"), ("[0.2, 0.7]", "times of its neighbours")],
+)  # fmt: skip
+def test_times_that_are_no_range_are_refused(tmp_path, until, said):
+    monopod = ROOT / "mjcf" / "monopod" / "scene.xml"
+    text = f'model = "{monopod}"\nduration = 0.9\nperiodic = {{ travel = 0.2 }}\n'
+    text += f'[[phase]]\nuntil = {until}\nstand = ["shank"]\n'
+    text += '[[phase]]\nuntil = 0.6\nstand = []\n[[phase]]\nstand = ["shank"]\n'
+    with pytest.raises(planner.PlannerError, match=said):
+        loaded(tmp_path, text)
 
 
 def test_a_number_is_the_way_ahead():

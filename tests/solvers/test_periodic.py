@@ -234,6 +234,17 @@ def test_open_components_are_named():
         Periodic(0.1, left_open=("tread",)).of_coordinates(["leg", "belt"])
 
 
+@pytest.mark.parametrize("parts", [{"image": 3}, {"left_open": 5}, {"left_open": "leg"}])
+def test_parts_of_other_types_are_refused(parts):
+    with pytest.raises(planner.PlannerError, match=f"{next(iter(parts))} of what is periodic"):
+        Periodic(0.1, **parts)
+
+
+def test_something_has_to_return():
+    with pytest.raises(planner.PlannerError, match="all of its coordinates open"):
+        Periodic(0.1, left_open=("leg", "belt")).of_coordinates(["leg", "belt"])
+
+
 def test_an_image_of_another_size_is_refused():
     with pytest.raises(planner.PlannerError, match="of 3 deviations, expected 2"):
         Periodic(0.1, image=StateMap(np.zeros(3), np.zeros(3), np.eye(3))).of_coordinates(["leg", "belt"])

@@ -66,11 +66,11 @@ class CycleMotion(NamedTuple):
 
     def repeated(self, space: StateSpace, cycles: int) -> CycleMotion:
         """So many cycles, one after another; each is the image of the one before."""
-        states, image = [self.states[:1]], self.states[1:]
-        for k in range(cycles):
-            image = self.image.apply(space, image) if k else image
-            states.append(image)
-        return CycleMotion(np.concatenate(states), self.image.power(space, cycles), self.said)
+        states, last = [self.states[:-1]], self.states[-1:]
+        for _ in range(cycles - 1):
+            states.append(self.image.apply(space, states[-1]))
+            last = self.image.apply(space, last)
+        return CycleMotion(np.concatenate([*states, last]), self.image.power(space, cycles), self.said)
 
 
 class _Ground(NamedTuple):

@@ -2,8 +2,9 @@
 
 A reflection R, about a plane through a point p, takes the screw (w, v) of a joint, v at p, to (-R w, R v). Joint a is
 the image of joint b if the reflected screws of a are combinations of those of b, and the joints that a carries are
-the images of those that b carries. An actuator's image has the reflected moments, and the same force law and ranges. A joint in the plane may be its own image; another one goes first, so that legs
-that lie in the plane of a planar machine change places.
+the images of those that b carries. A joint in the plane may be its own image; another one goes first, so that legs
+that lie in the plane of a planar machine change places. An actuator's image has the reflected moments, and the same
+force law and ranges.
 """
 
 from __future__ import annotations
