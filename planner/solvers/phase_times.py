@@ -64,7 +64,7 @@ def solve_phase_times(
         callback: Called with each PhaseTimes; print makes a table. It may raise StopIteration to end.
         budget: Of all solves together.
     """
-    search = _Search(problem, list(bounds), solved, callback, budget)
+    search = _TimesSearch(problem, list(bounds), solved, callback, budget)
     from scipy.optimize import minimize  # 0.4 s that `planner run` need not pay
 
     first = np.array([problem.parameters[PHASE][k]["until"] for k in bounds], dtype=float)
@@ -82,7 +82,7 @@ def _with_times(recipe: Recipe, numbers: list[int], times: np.ndarray, **changes
     return recipe.rebuilt(**{PHASE: phases}, **changes)
 
 
-class _Search:
+class _TimesSearch:
     """J and its derivatives by the free times, and the best plan."""
 
     def __init__(
@@ -125,7 +125,7 @@ class _Search:
 
     def _slopes(self, times: np.ndarray, plan: Plan) -> np.ndarray:
         """(K,) dJ / dtimes at the plan's states and controls; 0 where a time beside is refused."""
-        found = np.zeros(len(times))
+        slopes = np.zeros(len(times))
         assert plan.problem is not None  # it was solved
         assert plan.problem.recipe is not None  # of a file
         for k in range(len(times)):
@@ -138,8 +138,8 @@ class _Search:
             except PlannerError:
                 continue
             later, sooner = (one.cost.value(plan.xs, plan.us) for one in beside)
-            found[k] = (later - sooner) / (2.0 * self.step)
-        return found
+            slopes[k] = (later - sooner) / (2.0 * self.step)
+        return slopes
 
     def plan(self) -> Plan:
         """The best plan, with the record of the solves in its options."""

@@ -192,8 +192,8 @@ def _ground(mechanism: Mechanism, x: np.ndarray, up: np.ndarray) -> _Ground:
 
 def _quaternion_at(mechanism: Mechanism) -> int | None:
     """Where the configuration of a free base has its quaternion; None of another base."""
-    free = base_dofs(mechanism) >= 6 and mechanism.kind[3] == BALL
-    return int(mechanism.q_address[3]) if free else None
+    floats = base_dofs(mechanism) >= 6 and mechanism.kind[3] == BALL
+    return int(mechanism.q_address[3]) if floats else None
 
 
 def _displaced(mechanism: Mechanism, x: np.ndarray, ground: _Ground, cycle: Cycle, share: float) -> np.ndarray:
