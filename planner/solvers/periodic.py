@@ -140,9 +140,10 @@ class _PeriodicSearch:
         self.lines: list[PeriodicPass] = []
         self.interrupted = False
         # Rank (lower is better), the plan, and whether no step would lower its cost by more than FOLLOW_LEFT of it.
-        self.best: tuple[tuple[bool, float], Plan, bool] | None = None
+        self.best: tuple[tuple[bool, bool, float], Plan, bool] | None = None
         self.accepted: BoundarySensitivity | None = None  # from which steps are tried
         self.first, self.penalty = 0, 0.0  # of the steps, to try next; of the last one's merit
+        self.confirmed = math.inf  # cost from which longer steps were tried again
 
     def go(self, problem: Problem) -> None:
         """One pass; sets the problem of the next, None if converged or no step is accepted."""
@@ -159,19 +160,24 @@ class _PeriodicSearch:
                 raise
             answer = trial = None
             ran = False
-        left = math.nan if answer is None or self.accepted is not answer else 0.0 if trial is None else trial.decrease
+        expected = 0.0 if trial is None else trial.decrease
+        taken_back = answer is not None and self.accepted is not answer
+        left = math.nan if answer is None or taken_back else expected
         cost = plan.cost - terminal_goal_cost(plan)
         open_ = not plan.converged or miss > 1.0
         steady = bool(self.lines) and abs(cost - self.lines[-1].cost) <= periodic.cost_tolerance * abs(cost)
         most = (FOLLOW_LEFT if steady else LEFT) * abs(cost)
-        if answer is not None and left <= most and not open_ and self.first > 0:  # what longer steps do counts, too
-            trial = improved_boundary(answer) or trial
+        known = abs(cost - self.confirmed) <= periodic.cost_tolerance * abs(cost)  # what longer steps lead to from here
+        if answer is not None and left <= most and not (open_ or known) and self.first > 0:
+            self.confirmed, trial = cost, improved_boundary(answer) or trial
             left = 0.0 if trial is None else trial.decrease
         line = PeriodicPass(len(self.lines), cost, miss, left, plan.nit, plan.status)
         self.lines.append(line)
-        rank = open_, miss if open_ or not self.by_newton else cost
+        rank = open_, taken_back, miss if open_ or not self.by_newton else cost
         if self.best is None or rank < self.best[0]:
             self.best = rank, plan, left <= FOLLOW_LEFT * abs(cost)
+        elif taken_back and self.accepted is not None and self.best[1] is self.accepted.plan:
+            self.best = *self.best[:2], expected <= FOLLOW_LEFT * abs(cost)  # longer steps have led nowhere
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if self.callback is not None:

@@ -1,5 +1,6 @@
 """Several starts: the best of them is the plan, whatever ends first, and every way out leaves a whole plan."""
 
+import gc
 import itertools
 import os
 import signal
@@ -161,8 +162,17 @@ def test_interrupted_by_the_callback(error):
     assert plan.cost == pytest.approx(min(start.cost for start in plan.starts if start.status is Status.CONVERGED))
 
 
+@pytest.fixture
+def no_collection():
+    """Python's garbage is not collected: Hypothesis' callback at a collection loses a signal that comes while it runs."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
 @pytest.mark.parametrize("call", [1, 700])
-def test_ctrl_c_while_starts_run(call):
+def test_ctrl_c_while_starts_run(call, no_collection):
     """The signal comes while a thread is in the user's own function; the main thread waits."""
     calls = itertools.count(1)
 

@@ -21,13 +21,13 @@ from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.kinematics import LinkPlaces
-from planner.model.mechanism import BALL, Mechanism
+from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, exp_quaternion, product
 from planner.model.state_map import StateMap
 from planner.problem.tasks.flight import check_flight_time
 from planner.problem.tasks.gait import Gait, centres_of, feet_of, height_of, stands_at
 from planner.problem.tasks.legs import Foot, longest_step, over_support, points_of_feet, stepping, with_legs
-from planner.problem.tasks.mirror import UNLIKE, Mirror, asymmetry, base_dofs, mirror_of
+from planner.problem.tasks.mirror import Mirror, base_dofs, compared_sides, mirror_of, quaternion_of_base
 from planner.problem.tasks.phases import Phase
 
 WHOLE = 5  # cycles of the motion of which the middle one is the reference
@@ -137,7 +137,7 @@ def cycle_motion(
 
     Raises:
         PlannerError: The machine stands on no foot, has other feet or no base, cannot turn, its legs do not reach
-            their footholds, or it is not, or the gait is not, its own mirror image.
+            their footholds, or it has, or the gait has, no mirror image.
     """
     m, space, dt = dynamics.mechanism, dynamics.space, dynamics.dt
     standing = feet_of(m, x0)
@@ -175,7 +175,7 @@ def cycle_motion(
     image = _displacement(m, dynamics, x0, ground, cycle)
     if mirror is not None:
         image = mirror.image.then(space, image)
-        said += _told_asymmetry(dynamics, mirror, xs)
+        said += compared_sides(dynamics, mirror, x0, ground.up)
     return CycleMotion(xs, image, said)
 
 
@@ -190,15 +190,9 @@ def _ground(mechanism: Mechanism, x: np.ndarray, up: np.ndarray) -> _Ground:
     return _Ground(ahead, np.cross(up, ahead), up)
 
 
-def _quaternion_at(mechanism: Mechanism) -> int | None:
-    """Where the configuration of a free base has its quaternion; None of another base."""
-    floats = base_dofs(mechanism) >= 6 and mechanism.kind[3] == BALL
-    return int(mechanism.q_address[3]) if floats else None
-
-
 def _displaced(mechanism: Mechanism, x: np.ndarray, ground: _Ground, cycle: Cycle, share: float) -> np.ndarray:
     """A state (nx,) after a share of a cycle, as it is but for where it is."""
-    x, at, move = x.copy(), _quaternion_at(mechanism), ground.displacement(cycle, share)
+    x, at, move = x.copy(), quaternion_of_base(mechanism), ground.displacement(cycle, share)
     if at is not None:
         x[at - 3 : at] += move
         x[at : at + 4] = product(exp_quaternion(share * cycle.turn * ground.up), x[at : at + 4])
@@ -222,7 +216,7 @@ def _displacement(
     """The displacement of a cycle, as a map of states."""
     origin = mechanism.at_rest(x0)
     turned, matrix = np.eye(dynamics.ndx), None
-    if _quaternion_at(mechanism) is not None:
+    if quaternion_of_base(mechanism) is not None:
         matrix = np.array([_rotated(ground.up, cycle.turn, axis) for axis in np.eye(3)]).T
         for offset in (0, mechanism.nv):
             turned[offset : offset + 3, offset : offset + 3] = matrix
@@ -268,19 +262,3 @@ def _check_flights(mechanism: Mechanism, t: np.ndarray, stands: np.ndarray, rang
     edges = np.flatnonzero(np.diff(np.r_[0, ~stands.any(axis=1), 0].astype(int)))
     for begin, end in edges.reshape(-1, 2).tolist():
         check_flight_time(mechanism, "the gait", float(t[min(end, len(t) - 1)] - t[begin]), ranges)
-
-
-def _told_asymmetry(dynamics: RigidBodyDynamics, mirror: Mirror, xs: np.ndarray) -> str:
-    """A sentence about how unlike the two sides are.
-
-    Raises:
-        PlannerError: They are too different.
-    """
-    some = xs[np.linspace(0, len(xs) - 1, 5).astype(int)]
-    unlike = asymmetry(dynamics, mirror, some, np.zeros((len(some), dynamics.nu)))
-    if unlike > UNLIKE:
-        raise PlannerError(
-            f"mirror is true, and the machine's sides move differently, by {100 * unlike:.2g} % of what changes in a "
-            f"stage: expected at most {100 * UNLIKE:g} %, or no mirror and a whole cycle."
-        )
-    return f" The machine's sides differ by {100 * unlike:.2g} % in how they move." if unlike > 1e-6 else ""

@@ -152,7 +152,7 @@ def over_support(
         shift[a + 1 : b] = shift[a] + share * (shift[b] - shift[a])
     h = float(np.mean((centre[:, None] - places) @ n))
     shift = _pendulum(centre + shift, h / abs(float(g @ n)), dt) - centre
-    return _shifted(mechanism, q, shift - np.outer(shift @ n, n))
+    return shifted(mechanism, q, shift - np.outer(shift @ n, n))
 
 
 def _pendulum(p: np.ndarray, stiff: float, dt: float) -> np.ndarray:
@@ -185,7 +185,7 @@ def _pendulum(p: np.ndarray, stiff: float, dt: float) -> np.ndarray:
     return c
 
 
-def _shifted(mechanism: Mechanism, q: np.ndarray, shift: np.ndarray) -> np.ndarray:
+def shifted(mechanism: Mechanism, q: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Configurations (N+1, nq) whose base is shifted by (N+1, 3) m; as they are where it is fixed."""
     whole = center_of_mass_jacobian(mechanism, q[0])  # of slides that move all of the machine it is their axis
     base = np.flatnonzero((np.abs(np.linalg.norm(whole, axis=0) - 1.0) < 1e-9) & ~mechanism.directly_actuated)
@@ -224,7 +224,7 @@ def with_legs(
             share[last + 1 :] = minimum_jerk(np.linspace(1.0, 0.0, len(q) - last))[0][1:]
         for _ in range(LOWERINGS):
             drop += left.max()
-            lower = _shifted(mechanism, q, -drop * np.outer(share, feet[0].normal))
+            lower = shifted(mechanism, q, -drop * np.outer(share, feet[0].normal))
             found, errors = _bent(mechanism, lower, feet, places, ranges)
             if errors.max() >= left.max():
                 break

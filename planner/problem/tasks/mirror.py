@@ -18,12 +18,15 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.joint_forces import actuator_moments
 from planner.dynamics.kinematics import LinkPlaces
 from planner.model.actuators import Actuators
-from planner.model.mechanism import Mechanism
-from planner.model.space import cross
+from planner.model.mechanism import BALL, Mechanism
+from planner.model.space import conjugate, cross, exp_quaternion, product
 from planner.model.state_map import StateMap
+from planner.problem.tasks.legs import shifted
 
-MATCH = 1e-3  # m and rad per rad, per m: by which the screws of two sides may differ, as files are written
-UNLIKE = 0.05  # of the largest change in a stage: by which two sides may move differently
+MATCH = 5e-3  # m per rad, and rad: by which the screws of two sides may differ, as files are written
+COMPARED, SPEED, PUSH = 5, 0.3, 0.05  # states at which sides are compared; rad/s and m/s; share of the controls' ranges
+HIGH = 10.0  # m, where sides are compared: on the ground a contact counts that a rounding opens
+ALIKE, UNLIKE = 1e-6, 0.05  # of the largest change in a stage: what is not told, and what another problem is told for
 
 
 class Mirror(NamedTuple):
@@ -38,8 +41,9 @@ def mirror_of(mechanism: Mechanism, x: np.ndarray, normal: np.ndarray) -> Mirror
 
     Args:
         mechanism: The machine.
-        x: The base is where it is here, upright.
-        normal: (3,) of the plane, horizontal.
+        x: The base is where it is here.
+        normal: (3,) of the plane, horizontal. A base whose own axis leans a little is set upright: a machine whose mass
+            lies to one side stands so.
 
     Raises:
         PlannerError: A joint or an actuator has no image.
@@ -47,6 +51,9 @@ def mirror_of(mechanism: Mechanism, x: np.ndarray, normal: np.ndarray) -> Mirror
     nv, na = mechanism.nv, mechanism.na
     origin, joints = mechanism.at_rest(x), base_coordinates(mechanism)
     origin[joints : mechanism.nq] = mechanism.qpos0[joints:]
+    at = quaternion_of_base(mechanism)
+    if at is not None:
+        origin[at : at + 4] = _upright(origin[at : at + 4], normal)
     origin[mechanism.nq + nv :] = 0.0
     places = LinkPlaces(mechanism, origin[None, : mechanism.nq])
     angular, linear = places.screws[0, :, :3], places.screws[0, :, 3:]
@@ -89,7 +96,10 @@ def mirror_of(mechanism: Mechanism, x: np.ndarray, normal: np.ndarray) -> Mirror
 
 
 def asymmetry(dynamics: RigidBodyDynamics, mirror: Mirror, xs: np.ndarray, us: np.ndarray) -> float:
-    """How differently the machine and its image move from states (K, nx) with controls (K, nu): share of the change."""
+    """How differently the machine and its image move from states (K, nx) with controls (K, nu): share of the change.
+
+    In the air it tells masses, damping and actuators; on the ground a contact that a rounding opens counts, too.
+    """
     space = dynamics.space
     ends = mirror.image.apply(space, dynamics.step(xs, us))
     starts = mirror.image.apply(space, xs)
@@ -113,6 +123,50 @@ def _laws_are_equal(actuators: Actuators, k: int, j: int, sign: float) -> bool:
         for i, turned in ((k, sign), (j, 1.0))
     ]  # fmt: skip
     return bool(np.allclose(*laws, rtol=MATCH, atol=1e-9, equal_nan=True))
+
+
+def compared_sides(dynamics: RigidBodyDynamics, mirror: Mirror, x0: np.ndarray, up: np.ndarray) -> str:
+    """A sentence about how unlike the sides are, in the air at random speeds; "" where they are alike.
+
+    Identified masses and frictions of a robot's file differ from side to side. Half a cycle is none the worse for it,
+    but the other half is not quite its image.
+
+    Args:
+        dynamics: The machine.
+        mirror: Its mirror image.
+        x0: (nx,) how it stands.
+        up: (3,) from the ground, where contacts that a rounding opens would count.
+    """
+    m, rng = dynamics.mechanism, np.random.default_rng(0)
+    xs = np.tile(x0, (COMPARED, 1))
+    xs[:, : m.nq] = shifted(m, xs[:, : m.nq], np.tile(HIGH * up, (COMPARED, 1)))
+    xs[:, m.velocities] = rng.normal(0.0, SPEED, (COMPARED, m.nv))
+    low, high = m.actuators.control_range.T
+    low, high = np.where(np.isfinite(low), low, -1.0), np.where(np.isfinite(high), high, 1.0)
+    us = low + rng.uniform(0.5 - PUSH, 0.5 + PUSH, (COMPARED, m.nu)) * (high - low)
+    with np.errstate(all="ignore"):  # a light link may run away
+        unlike = asymmetry(dynamics, mirror, xs, us)
+    if not unlike > ALIKE:
+        return ""
+    advice = ": without mirror a whole cycle is planned, which counts it" if unlike > UNLIKE else ""
+    return f" The machine's sides differ by {100 * unlike:.2g} % in how they move{advice}."
+
+
+def quaternion_of_base(mechanism: Mechanism) -> int | None:
+    """Where the configuration of a free base has its quaternion; None of another base."""
+    floats = base_dofs(mechanism) >= 6 and mechanism.kind[3] == BALL
+    return int(mechanism.q_address[3]) if floats else None
+
+
+def _upright(quaternion: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """A base's quaternion (4,), turned the short way until its axis nearest to a direction (3,) is along it."""
+    axes = product(product(quaternion, np.hstack([np.zeros((3, 1)), np.eye(3)])), conjugate(quaternion))[:, 1:]
+    k = int(np.argmax(np.abs(axes @ normal)))
+    axis = axes[k] * np.sign(axes[k] @ normal)
+    turn = np.cross(axis, normal)
+    sine = float(np.linalg.norm(turn))
+    angle = float(np.arctan2(sine, axis @ normal))
+    return quaternion if sine < 1e-12 else product(exp_quaternion(angle / sine * turn), quaternion)
 
 
 def base_dofs(mechanism: Mechanism) -> int:
