@@ -164,7 +164,7 @@ def test_interrupted_by_the_callback(error):
 
 @pytest.fixture
 def no_collection():
-    """Python's garbage is not collected: Hypothesis' callback at a collection loses a signal that comes while it runs."""
+    """Python collects no garbage: Hypothesis' callback at a collection loses a signal that comes while it runs."""
     gc.collect()
     gc.disable()
     yield
