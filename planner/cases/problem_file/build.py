@@ -335,7 +335,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     weights = table[RESOLVED]["weights"]
     wanted = None
     if cyclic is not None and cycle is not None:
-        start, end = ends_in(table, cyclic)
+        start, end = ends_in(table, cyclic.repeated(dynamics.space, cycle.cycles))
         table = table | {PARAMETER: [start.tolist(), end.tolist()]}
         along = along if cycle.cycles == 1 else None
         cost, x0 = cycle_cost(dynamics, x0, cyclic, cycle, end, weights), start

@@ -26,6 +26,7 @@ from planner.problem.reaching_cost import staying_cost, with_slip
 from planner.problem.tasks.cycle import Cycle, CycleMotion, cycle_motion, cycle_of
 from planner.solvers.gains import feedback_rollout
 from planner.solvers.options import single_start
+from planner.solvers.periodic import solve_periodic
 from planner.solvers.periodic_boundary import PARAMETER, ends_of, terminal_goal_cost
 from planner.solvers.phase_times import TRIED
 from planner.solvers.slq import solve
@@ -74,21 +75,26 @@ def unrolled(problem: Problem, plan: Plan, cycles: int, **options: Any) -> Plan:
     image = plan.problem.periodic.image if plan.problem.periodic is not None else None
     assert image is not None  # of a file
     table = problem.parameters["periodic"] | {"cycles": cycles}
-    ends = [end.tolist() for end in ends_of(plan.problem)]
-    whole = problem.recipe.rebuilt(**{"periodic": table, PARAMETER: ends})
+    start, goal = ends_of(plan.problem)
+    for _ in range(cycles - 1):
+        goal = image.apply(plan.space, goal)
+    whole = problem.recipe.rebuilt(**{"periodic": table, PARAMETER: [start.tolist(), goal.tolist()]})
     us, xs, K = [plan.us], [plan.xs], [plan.K]
     for _ in range(cycles - 1):
         us.append(image.images_of_controls(us[-1]))
         xs.append(image.apply(plan.space, xs[-1][-plan.N :]))
         K.append(np.swapaxes(image.images_of_controls(np.swapaxes(K[-1] @ image.matrix.T, 1, 2)), 1, 2))
     us = feedback_rollout(whole, np.concatenate(us), np.concatenate(K), np.concatenate(xs))[1]
-    found = solve(replace(whole, us=us), **single_start(options))
-    assert found.problem is not None  # it was solved
-    assert found.problem.periodic is not None  # of cycles
-    miss = found.problem.periodic.miss(found.space, found.xs)
-    row = finite([found.cost - terminal_goal_cost(found), miss, math.nan, found.nit])
+    assert whole.periodic is not None  # of cycles
+    whole, options = replace(whole, us=us), single_start(options)
+    found = solve(whole, **options)
+    miss = whole.periodic.miss(found.space, found.xs)
+    rows = [finite([found.cost - terminal_goal_cost(found), miss, math.nan, found.nit])]
+    if found.converged and miss > 1.0:  # cheaper ones inside of it have moved its end
+        found = solve_periodic(replace(whole, us=found.us), **options)
+        rows += found.options["tried"]
     tried = {name: plan.options[name] for name in ("step", "passes", TRIED) if name in plan.options}
-    return replace(found, options=found.options | tried | {"tried": [*plan.options["tried"], row]})
+    return replace(found, options=found.options | tried | {"tried": [*plan.options["tried"], *rows]})
 
 
 def without_cycles(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
@@ -100,7 +106,7 @@ def without_cycles(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
 
 
 def ends_in(table: dict[str, Any], motion: CycleMotion) -> tuple[np.ndarray, np.ndarray]:
-    """Start and last reference (nx,): those that a solve has found, in the table of its plan, else the motion's."""
+    """Start and last reference (nx,) of all cycles: those of a plan's table, else those of their motion."""
     if table.get(PARAMETER) is None:
         return motion.states[0], motion.states[-1]
     start, goal = array(PARAMETER, table[PARAMETER], (2, motion.states.shape[1]))
@@ -120,7 +126,7 @@ def cycle_cost(
         x0: (nx,) how it stands.
         motion: The reference of one cycle.
         cycle: What it is to do, and how often.
-        goal: (nx,) the last reference of one cycle.
+        goal: (nx,) the last reference of all cycles.
         weights: As of reaching_cost.weighed.
     """
     arguments = {**weights, "reference": motion.states}
@@ -136,7 +142,7 @@ def cycle_cost(
         Q.append(image.matrix @ Q[-1] @ image.matrix.T)
         R.append(image.images_of_controls(np.swapaxes(image.images_of_controls(R[-1]), 1, 2)))
         u_ref.append(image.images_of_controls(u_ref[-1]))
-        last, goal = image.matrix @ last @ image.matrix.T, image.apply(space, goal)
+        last = image.matrix @ last @ image.matrix.T
     whole = np.concatenate([*Q, last[None]])
     cost = TrackingCost(
         0.5 * (whole + np.swapaxes(whole, 1, 2)), np.concatenate(R), motion.repeated(space, cycle.cycles).states,
