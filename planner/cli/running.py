@@ -204,6 +204,7 @@ def _identity(asked: ProblemFile, arguments: argparse.Namespace) -> dict[str, An
     problem = asked.problem
     return {
         "case": problem.case, "parameters": problem.parameters, "starts": asked.starts, "seed": asked.seed,
+        "cycles": asked.cycles, "phase_times": [[k, *ends] for k, ends in asked.phase_times.items()],
         "model": None if problem.twin is None else problem.twin.mjcf, "versions": installed_versions(),
         **{name: getattr(arguments, name) for name in FLAGS},
     }  # fmt: skip

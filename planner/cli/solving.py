@@ -140,7 +140,7 @@ def solved(
         "starts": asked.starts, "seed": asked.seed, "max_iterations": arguments.max_iterations,
         "rank": _rank(arguments.rank), "executor": executor, "budget": budget,
     }  # fmt: skip
-    alone = asked.durations is None and asked.starts == 1 and problem.periodic is None
+    alone = asked.durations is None and asked.starts == 1 and problem.periodic is None and not asked.phase_times
     plan = asked.solved(console.iteration if alone else console.row, **options)
     return plan, time.perf_counter() - began
 

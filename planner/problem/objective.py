@@ -89,6 +89,14 @@ class TimeCost(Term):
         return Quadratic(np.zeros((N + 1, ndx, ndx)), np.zeros((N + 1, ndx)), np.zeros((N, nu, nu)), np.zeros((N, nu)))
 
 
+def rebuilt(problem: Problem, **changes: Any) -> Problem:
+    """The problem that its recipe builds with some arguments changed, with its own limits and objective."""
+    own = base_problem(problem)
+    assert own.recipe is not None  # its caller knows its arguments
+    new = replace(base_problem(own.recipe.rebuilt(**changes)), limits=own.limits)
+    return new if problem.objective is None else with_objective(new, problem.objective.weights)
+
+
 def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Problem:
     """The same task with another criterion, at its own duration.
 

@@ -116,7 +116,7 @@ class Plan(Built, Plottable):
     def total_iterations(self) -> int:
         """Number of iterations of all starts, of all solves of a relaxation, or of all passes of a periodic motion."""
         if "phase_times" in self.options:
-            return sum(row[-1] for row in self.options["phase_times"])
+            return sum(row[-1] for row in self.options["phase_times"]) + self.options.get("unrolled", 0)
         if "passes" in self.options:
             return sum(row[3] for row in self.options["tried"])
         relaxed = sum(step[4] for step in self.options.get("relaxation", {}).get("steps", ()))

@@ -176,8 +176,8 @@ class _PeriodicSearch:
         rank = open_, taken_back, miss if open_ or not self.by_newton else cost
         if self.best is None or rank < self.best[0]:
             self.best = rank, plan, left <= FOLLOW_LEFT * abs(cost)
-        elif taken_back and self.accepted is not None and self.best[1] is self.accepted.plan:
-            self.best = *self.best[:2], expected <= FOLLOW_LEFT * abs(cost)  # longer steps have led nowhere
+        elif taken_back and trial is None and self.accepted is not None and self.best[1] is self.accepted.plan:
+            self.best = *self.best[:2], True  # its steps have led nowhere
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if self.callback is not None:
@@ -185,6 +185,8 @@ class _PeriodicSearch:
         small_reduction = not self.by_newton or left <= most
         if not ran or (small_reduction and not open_):
             self.next = None
+            if ran:  # the best plan costs no more than this one
+                self.best = *self.best[:2], True
         elif answer is None:
             self.next = _followed(plan)
         else:

@@ -210,7 +210,8 @@ def _planned(work: Work, task: int, controls: np.ndarray | None) -> tuple[Done, 
             raise StopIteration
 
     file = work.problem(task)
-    problem, neighbour = _from_neighbour(file.problem, controls)
+    of_one = None if controls is None or file.phase_times else controls[: len(controls) // file.cycles]
+    problem, neighbour = _from_neighbour(file.problem, of_one)
     options: dict[str, Any] = {"starts": file.starts, "seed": file.seed} | work.options
     plan = file._replace(problem=problem).solved(heed, **options)
     solved = time.perf_counter()

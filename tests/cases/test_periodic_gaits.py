@@ -1,5 +1,7 @@
 """A cycle of a gait that goes on: its mirror image, its reference, what it refuses, and plans of it."""
 
+import argparse
+import json
 import re
 from dataclasses import replace
 
@@ -9,6 +11,7 @@ from places import ROOT
 
 import planner
 from planner.cases.problem_file import load
+from planner.cli.running import FLAGS, _identity
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.space import exp_quaternion, product
 from planner.model.state_map import StateMap
@@ -280,9 +283,47 @@ def test_free_times_end_where_the_plan_costs_least(tmp_path):
     assert planner.load_plan(plan.save(tmp_path / "plan.npz")).problem is not None
 
 
+HOP = (
+    f'model = "{ROOT / "mjcf" / "monopod" / "scene.xml"}"\nduration = 0.6\nperiodic = {{ travel = 0.2, cycles = 2 }}\n'
+    '[[phase]]\nuntil = UNTIL\nstand = ["shank"]\n[[phase]]\nstand = []\n'
+)
+
+
+def test_a_search_of_times_that_is_interrupted_keeps_the_best_plan(tmp_path):
+    asked, lines = loaded(tmp_path, HOP.replace("UNTIL", "[0.2, 0.4]")), []
+
+    def stop(line):
+        lines.append(line)
+        raise KeyboardInterrupt
+
+    plan = asked.solved(stop)
+    assert plan.status is Status.INTERRUPTED
+    assert plan.N == asked.problem.N  # of one cycle
+    assert len(lines) == 1
+
+
+def test_limits_that_were_put_in_place_of_the_files_hold_in_every_cycle(tmp_path):
+    asked = loaded(tmp_path, HOP.replace("UNTIL", "0.3"))
+    limits = replace(asked.problem.limits, control=400.0)
+    plan = asked._replace(problem=replace(asked.problem, limits=limits)).solved(lambda _: None)
+    assert plan.N == 2 * asked.problem.N
+    assert plan.problem.limits.control == 400.0
+
+
+def test_runs_that_ask_for_other_cycles_or_times_are_others(tmp_path):
+    arguments = argparse.Namespace(**dict.fromkeys(FLAGS))
+    texts = (HOP, HOP.replace("cycles = 2", "cycles = 3"))
+    files = [loaded(tmp_path, text.replace("UNTIL", until)) for text in texts for until in ("0.3", "[0.25, 0.35]")]
+    told = [json.dumps(_identity(file, arguments)) for file in files]
+    assert len(set(told)) == 4
+
+
 @pytest.mark.parametrize(
     ("until", "said"),
-    [("[0.4, 0.2]", "earliest and the latest"), ("[0.2]", "until of"), ("[0.2, 0.7]", "times of its neighbours")],
+    [
+        ("[0.4, 0.2]", "after the phase before"), ("[0.2]", "until of"), ("[0.2, 1.0]", "before the duration, 0.9 s"),
+        ("[0.2, 0.7]", "expected a time after 0.7 s"),
+    ],
 )  # fmt: skip
 def test_times_that_are_no_range_are_refused(tmp_path, until, said):
     monopod = ROOT / "mjcf" / "monopod" / "scene.xml"

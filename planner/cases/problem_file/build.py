@@ -53,7 +53,7 @@ from typing import Any
 import numpy as np
 
 from planner import cases
-from planner.base.arguments import choice, count, short_repr
+from planner.base.arguments import choice, count, number, short_repr
 from planner.base.data_files import check_file, problem_files, read_table
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.constraints import constraints_of
@@ -144,9 +144,13 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     table = table | {name: value for name, value in instead.items() if value is not None}
     check_file(table, KEYS, TABLES, str(path))
     table, cycles = without_cycles(table)
-    phases, free = free_times(table.get("phase"))
-    table = table | {"phase": phases} if free else table
     table = with_files(with_defaults(with_model_limits(table), str(path)), path.parent)
+    duration = number("duration", table["duration"], greater_than=0.0)
+    phases, free = free_times(table.get("phase"), duration)
+    objective = table.get("objective", ())
+    if free and isinstance(objective, (str, dict)) and "time" in objective:
+        raise PlannerError("the objective has time, and times of phases are free: expected one of them.")
+    table = table | {"phase": phases} if free else table
     if not isinstance(table["model"], str) or not table["model"]:
         raise PlannerError(f"model is {short_repr(table['model'])}, expected the name of an MJCF or URDF file.")
     for key, records, file in (("attach", attachments, "model"), ("obstacle", obstacles_of, "file")):

@@ -19,6 +19,7 @@ from planner.problem.costs.terms import Cost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES
 from planner.problem.limits import Limits
+from planner.problem.objective import rebuilt
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import Periodic
@@ -70,7 +71,6 @@ def unrolled(problem: Problem, plan: Plan, cycles: int, **options: Any) -> Plan:
 
     The first rollout of all is on the images of the one before, by their gains; `options` are those of solve().
     """
-    assert problem.recipe is not None  # of a file
     assert plan.problem is not None  # solve_periodic made it
     image = plan.problem.periodic.image if plan.problem.periodic is not None else None
     assert image is not None  # of a file
@@ -78,7 +78,7 @@ def unrolled(problem: Problem, plan: Plan, cycles: int, **options: Any) -> Plan:
     start, goal = ends_of(plan.problem)
     for _ in range(cycles - 1):
         goal = image.apply(plan.space, goal)
-    whole = problem.recipe.rebuilt(**{"periodic": table, PARAMETER: [start.tolist(), goal.tolist()]})
+    whole = rebuilt(problem, **{"periodic": table, PARAMETER: [start.tolist(), goal.tolist()]})
     us, xs, K = [plan.us], [plan.xs], [plan.K]
     for _ in range(cycles - 1):
         us.append(image.images_of_controls(us[-1]))
@@ -94,7 +94,8 @@ def unrolled(problem: Problem, plan: Plan, cycles: int, **options: Any) -> Plan:
         found = solve_periodic(replace(whole, us=found.us), **options)
         rows += found.options["tried"]
     tried = {name: plan.options[name] for name in ("step", "passes", TRIED) if name in plan.options}
-    return replace(found, options=found.options | tried | {"tried": [*plan.options["tried"], *rows]})
+    tried |= {"tried": [*plan.options["tried"], *rows], "unrolled": sum(row[3] for row in rows)}
+    return replace(found, options=found.options | tried)
 
 
 def without_cycles(table: dict[str, Any]) -> tuple[dict[str, Any], int]:

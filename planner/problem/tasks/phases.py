@@ -33,28 +33,34 @@ def phase_of(table: Any, k: int, of: int) -> Phase:
     return Phase(until, tuple(stand))
 
 
-def free_times(phases: Any) -> tuple[Any, dict[int, tuple[float, float]]]:
+def free_times(phases: Any, duration: float) -> tuple[Any, dict[int, tuple[float, float]]]:
     """Tables of phases with the middle of each range of times, and the ranges, s, by the numbers of phases, from 0.
 
     Raises:
-        PlannerError: A range that is none, of the last phase, or that reaches the time of another one.
+        PlannerError: A range that is none, or that reaches the time of another one or the duration, s.
     """
     if not isinstance(phases, list) or not all(isinstance(table, Mapping) for table in phases):
         return phases, {}  # gait_of says what is expected
-    found, fixed = {}, []
+    found, fixed, before = {}, [], 0.0
     for k, table in enumerate(phases):
         until = table.get("until")
-        if not isinstance(until, (list, tuple)):
-            fixed.append(table)
-            continue
-        low, high = array(f"until of [[phase]] {k + 1}, the earliest and the latest time, s", until, (2,)).tolist()
-        others = [one["until"] for j, one in enumerate(phases) if j != k and isinstance(one.get("until"), (int, float))]
-        others += [time for pair in found.values() for time in pair]
-        if not 0.0 < low < high or k == len(phases) - 1 or any(low <= time <= high for time in others):
+        ends = [until, until]
+        if isinstance(until, (list, tuple)):
+            said = f"until of [[phase]] {k + 1}, the earliest and the latest time, s"
+            ends = array(said, until, (2,)).tolist()
+            table, found[k] = {**table, "until": 0.5 * (ends[0] + ends[1])}, (ends[0], ends[1])
+        fixed.append(table)
+        if not all(isinstance(end, (int, float)) for end in ends):
+            continue  # gait_of says what is expected
+        if k in found and not before < ends[0] < ends[1] < duration:
             raise PlannerError(
                 f"until of [[phase]] {k + 1} is {short_repr(until)}, expected the earliest and the latest time of its "
-                "end, s, not of the last phase and between the times of its neighbours."
+                f"end, s, after the phase before and before the duration, {duration:g} s."
             )
-        found[k] = (low, high)
-        fixed.append({**table, "until": 0.5 * (low + high)})
+        if found and k not in found and not ends[0] > before:
+            raise PlannerError(
+                f"until of [[phase]] {k + 1} is {short_repr(until)}, expected a time after {before:g} s, the latest "
+                "end of the phase before."
+            )
+        before = ends[1]
     return fixed, found
