@@ -85,10 +85,10 @@ def unrolled(problem: Problem, plan: Plan, cycles: int, **options: Any) -> Plan:
         xs.append(image.apply(plan.space, xs[-1][-plan.N :]))
         K.append(np.swapaxes(image.images_of_controls(np.swapaxes(K[-1] @ image.matrix.T, 1, 2)), 1, 2))
     us = feedback_rollout(whole, np.concatenate(us), np.concatenate(K), np.concatenate(xs))[1]
-    assert whole.periodic is not None  # of cycles
-    whole, options = replace(whole, us=us), single_start(options)
-    found = solve(whole, **options)
-    miss = whole.periodic.miss(found.space, found.xs)
+    periodic, options = whole.periodic, single_start(options)
+    assert periodic is not None  # of cycles
+    found = solve(replace(whole, us=us), **options)
+    miss = periodic.miss(found.space, found.xs)
     rows = [finite([found.cost - terminal_goal_cost(found), miss, math.nan, found.nit])]
     if found.converged and miss > 1.0:  # cheaper ones inside of it have moved its end
         found = solve_periodic(replace(whole, us=found.us), **options)
