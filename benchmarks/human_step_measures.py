@@ -77,9 +77,9 @@ class Bench:
 
     @cached_property
     def gait_plan(self) -> planner.Plan:
-        """Periodic; its passes are noted."""
+        """Periodic, after at most six passes, which are noted."""
         self.passes: list[Any] = []
-        return planner.solve_periodic(human_step(phase="gait", cost="study"), callback=self.passes.append)
+        return planner.solve_periodic(human_step(phase="gait", cost="study"), passes=6, callback=self.passes.append)
 
     def dynamics(self) -> Iterator[Row]:
         """Inverse dynamics of the legs, without contact."""

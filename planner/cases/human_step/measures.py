@@ -45,7 +45,7 @@ STANDS = (0.95, 0.66)  # fractions of a cycle between which a foot may be on the
 CLOSED_POSITION, CLOSED_ANGLE = 4e-3, np.radians(0.5)  # m and rad, between start and end of a gait
 CLOSED_SPEED, CLOSED_RATE = 0.03, 0.1  # m/s and rad/s
 CLOSED_ACCELERATION, CLOSED_TURNING = 0.3, 1.0  # m/s^2 and rad/s^2
-PASSES, COST_TOLERANCE = 6, 0.01  # of a gait: contacts change the last percent of the cost from pass to pass
+PASSES, COST_TOLERANCE = 20, 0.01  # of a gait: contacts change the last percent of the cost from pass to pass
 FOLLOWS = 2.5  # deg, RMS over joints and time: the difference between two planned cycles (study, section 7)
 PATIENT = {"common_mass": 0.1, "stiffness": 0.1, "common_stiffness": 0.2}
 """The robustness section also varies the mass of the person and the stiffness of the joints, which are not measured."""
