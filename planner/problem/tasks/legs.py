@@ -235,7 +235,7 @@ def with_legs(
         names, worst = [foot.name for foot in feet for _ in foot.points], int(left.max(axis=0).argmax())
         raise PlannerError(
             f"the gait takes {names[worst]} {left.max():.2g} m further than its leg reaches within its ranges: "
-            "expected a smaller stride or lift, a lower trunk at the start and at the end, or a longer duration."
+            "expected a smaller stride, travel or lift, a lower trunk at both ends, or a longer duration."
         )
     return found
 
