@@ -221,12 +221,8 @@ class Limits:
                 found[i - first] = joint_range.low, joint_range.high
         return found
 
-    def ranges(
-        self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int, ends: bool = True
-    ) -> StateBounds | None:  # fmt: skip
-        """The ranges of the states, and exact goals; None without either.
-
-        `ends`: whether the cost's last reference is a goal, which has to be within them.
+    def ranges(self, dynamics: Dynamics, cost: Cost, x0: np.ndarray, N: int, ends: bool = True) -> StateBounds | None:
+        """The ranges of the states, and exact goals if the last reference is one (`ends`); None without either.
 
         Raises:
             PlannerError: As for the class; a start or a goal outside its range.
@@ -238,9 +234,7 @@ class Limits:
         reference = getattr(cost, "x_ref", None)
         at_end = self._at_end(mechanism, cost, space.ndx)
         if at_end and not ends:
-            raise PlannerError(
-                'final is "exact" and the motion is periodic, whose end is given by its start: expected no final.'
-            )
+            raise PlannerError('final is "exact", and a periodic motion ends as its start says: expected no final.')
         if reference is None:
             reference = np.tile(x0, (N + 1, 1))
         origin = origin_of(space)
