@@ -2,9 +2,9 @@
 
     image of x = integrate(image, matrix difference(x, origin))
 
-It is exact for quaternions: a rotation of the world multiplies them from the left, a reflection turns each about the
-mirrored axis by the opposite angle, and both leave products products. So `matrix`, which is orthogonal, is the
-derivative of the map everywhere.
+It is exact for quaternions, too. A rotation of the world multiplies each from the left. A reflection turns each about
+the mirrored axis by the opposite angle, and the image of a product is the product of the images. So `matrix`, which is
+orthogonal, is the derivative of the map everywhere.
 """
 
 from __future__ import annotations

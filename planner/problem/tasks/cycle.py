@@ -24,6 +24,7 @@ from planner.dynamics.kinematics import LinkPlaces
 from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, exp_quaternion, product
 from planner.model.state_map import StateMap
+from planner.problem.costs.residual_functions import rotation_of
 from planner.problem.tasks.flight import check_flight_time
 from planner.problem.tasks.gait import Gait, centres_of, feet_of, height_of, stands_at
 from planner.problem.tasks.legs import Foot, longest_step, over_support, points_of_feet, stepping, with_legs
@@ -215,18 +216,11 @@ def _displacement(
 ) -> StateMap:
     """The displacement of a cycle, as a map of states."""
     origin = mechanism.at_rest(x0)
-    turned, matrix = np.eye(dynamics.ndx), None
+    matrix = np.eye(dynamics.ndx)
     if quaternion_of_base(mechanism) is not None:
-        matrix = np.array([_rotated(ground.up, cycle.turn, axis) for axis in np.eye(3)]).T
         for offset in (0, mechanism.nv):
-            turned[offset : offset + 3, offset : offset + 3] = matrix
-    return StateMap(origin, _displaced(mechanism, origin, ground, cycle, 1.0), turned)
-
-
-def _rotated(axis: np.ndarray, angle: float, v: np.ndarray) -> np.ndarray:
-    """Vector v (3,) turned about a unit axis (3,) by an angle, rad (Rodrigues)."""
-    along = (axis @ v) * axis
-    return along + np.cos(angle) * (v - along) + np.sin(angle) * np.cross(axis, v)
+            matrix[offset : offset + 3, offset : offset + 3] = rotation_of(exp_quaternion(cycle.turn * ground.up))
+    return StateMap(origin, _displaced(mechanism, origin, ground, cycle, 1.0), matrix)
 
 
 def _swings(
