@@ -11,6 +11,7 @@ from planner.base.errors import PlannerError as PlannerError
 from planner.cases.plan_file import load_plan as load_plan
 from planner.cases.problem_file import load_problem as load_problem
 from planner.cases.problem_file.in_python import task as task
+from planner.control.control_laws import FixedPlanController as FixedPlanController
 from planner.control.controller import Controller as Controller
 from planner.control.judging import judge as judge
 from planner.control.simulating import simulate as simulate

@@ -27,6 +27,7 @@ from planner.problem.plan import Iteration, Plan, Start, Status
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import Recipe
 from planner.problem.residual import Residual
+from planner.problem.touch_downs import TouchDown
 
 
 def load_plan(
@@ -89,6 +90,7 @@ def _plan(arrays: dict[str, np.ndarray], meta: dict[str, Any], folder: Path) -> 
         options=meta["options"],
         changed=meta["changed"],
         bound_penalties=BoundPenalties(*(arrays[name] for name in HINGES)) if HINGES[0] in arrays else None,
+        stored_touch_downs=tuple(map(TouchDown.from_dict, meta["touch_downs"])),
     )
 
 

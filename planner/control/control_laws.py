@@ -13,6 +13,8 @@ as a proof does (planner.proof.goal_regulator), or by the fallback control where
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,9 +24,11 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.joint_forces import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.quasi_static import equilibrium, quasi_static_controls
+from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.problem.touch_downs import StageRule, reference, standing, touch_downs_of
 from planner.proof.goal_regulator import GoalRegulator, hold_gain
 from planner.proof.replays.replaying import problem_of
 from planner.solvers.engine.protocol import TrajectoryArrays
@@ -33,7 +37,7 @@ TIME_TOLERANCE = 1e-6  # of a stage: smaller differences of time are zero
 
 
 class TrackedPlan:
-    """A plan that feedback tracks.
+    """A plan that feedback tracks. Around its touch-downs the stage waits for the feet: see problem.touch_downs.
 
     Attributes:
         xs: (N+1, nx).
@@ -60,10 +64,30 @@ class TrackedPlan:
         """The planned control (nu,) at t, s; after the end the last one."""
         return self.us[min(self._stages(t)[0], len(self.us) - 1)]
 
-    def control(self, t: float, x: np.ndarray) -> np.ndarray:
-        """The control (nu,) with feedback at t, s, and x (nx,), before bounds."""
-        n = min(self._stages(t)[0], len(self.us) - 1)
-        return self.us[n] + self.K[n] @ self._space.single_difference(x, self.expected(t))
+    @cached_property
+    def _rule(self) -> StageRule:
+        return StageRule(touch_downs_of(self._dynamics, self.xs))
+
+    def control(self, t: float, x: np.ndarray, standing_feet: Collection[str] | None = None) -> np.ndarray:
+        """The control (nu,) with feedback at t, s, and x (nx,), before bounds.
+
+        `standing_feet` are the names of those that bear load; by default they are estimated from x by the contact law.
+        """
+        n, part = self._stages(t)
+        n, x_ref = min(n, len(self.us) - 1), None
+        if n > 0:  # a controller with a plan each stage never gets here
+            waits = self._rule(n + part, lambda foot: foot in self._standing(x, standing_feet))
+            if waits is not None:
+                n, since = waits.stage, self._dt * (n + part - waits.stage)
+                x_ref = reference(self._dynamics, self.xs[n], since)
+        return self.us[n] + self.K[n] @ self._space.single_difference(x, self.expected(t) if x_ref is None else x_ref)
+
+    def _standing(self, x: np.ndarray, told: Collection[str] | None) -> Collection[str]:
+        if told is not None:
+            return told
+        mechanism = capabilities_of(self._dynamics).mechanism
+        assert mechanism is not None  # it has touch-downs
+        return [foot for foot, bears in standing(mechanism, x[None]).items() if bears[0]]
 
     def expected(self, t: float) -> np.ndarray:
         """The planned state (nx,) at t, s, integrated from the knot before; after the end the last one."""
@@ -144,7 +168,7 @@ class FixedPlanController:
 
     def __init__(self, plan: Plan) -> None:
         self.plan, self.problem = plan, problem_of(plan)
-        self._tracked = TrackedPlan(self.problem.dynamics, (plan.xs, plan.us, plan.K), 0.0)
+        self._begin()
         self._hold: GoalRegulator | None = None
         self._holding = FallbackControl(self.problem)
         try:
@@ -152,18 +176,30 @@ class FixedPlanController:
         except PlannerError:
             self._hold = None
 
+    def _begin(self) -> None:
+        plan = self.plan
+        self._tracked = TrackedPlan(self.problem.dynamics, (plan.xs, plan.us, plan.K), 0.0)
+
     def reset(self, x0: Any = None) -> None:
-        """No state to reset; a PlannerError for another start."""
+        """Begin again; a PlannerError for another start."""
+        self._begin()
         if x0 is not None:
             raise PlannerError(
                 "start is given for a plan with its gains alone, expected a Controller, which can plan from there."
             )
 
-    def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
-        """The control (nu,) at time t, s, and state x (nx,)."""
+    def __call__(self, t: float, x: np.ndarray, standing_feet: Collection[str] | None = None) -> np.ndarray:
+        """The control (nu,) at time t, s, and state x (nx,).
+
+        Args:
+            t: s since the begin of the plan; it does not go back before the next reset().
+            x: (nx,) measured state.
+            standing_feet: Names of the feet (`plan.touch_downs`) that bear load now, as switches or torques tell it; by
+                default what the plan's contact law says at x, with the ground where the model has it.
+        """
         plan, bounds = self.plan, self.problem.bounds
         if not self._tracked.ended(t):
-            u = self._tracked.control(t, x)
+            u = self._tracked.control(t, x, standing_feet)
         else:
             u = self._holding(x, plan.us[-1]) if self._hold is None else self._hold.control(x)
         n = int(t / self.problem.dynamics.dt + TIME_TOLERANCE)

@@ -364,6 +364,10 @@ class Mechanism:
         named = [body for body in self.body_names if body]
         return self.bodies[self.body_names.index(choice("frame", name, [*self.sites, *named]))]
 
+    def body_of(self, link: int) -> str:
+        """The name of the body that a link's joints move, "" where it has none."""
+        return next((name for name, body in zip(self.body_names, self.bodies, strict=True) if body.link == link), "")
+
     def joint(self, name: str) -> slice:
         """The degrees of freedom of a joint.
 

@@ -6,7 +6,8 @@ states at knots are bitwise equal. Without an integrator (a plan without its pro
 interpolated on the state space: x = integrate(x_n, s difference(x_n+1, x_n)), 0 <= s <= 1.
 
 Table: a row is an instant: its time, the state, the control from it on. Columns of controls have the names of
-actuators, so `planner prove --controls` reads a file of controls alone.
+actuators, so `planner prove --controls` reads a file of controls alone. A plan with touch-downs also has which feet
+stand when.
 
 Joint trajectory: ROS 2's trajectory_msgs/JointTrajectory, as YAML or JSON; no ROS is needed. It has joints of one
 coordinate: hinges (rad) and slides (m). Free and ball joints are omitted. Accelerations and efforts are empty, as the
@@ -41,9 +42,11 @@ from planner.model.mjcf.model_index import compile_model
 from planner.model.mjcf.prescribed_joints import in_order
 from planner.model.space import StateSpace
 from planner.model.twin import Twin
+from planner.problem.touch_downs import TouchDown, standing
 
 _ROUNDING = 1e-9  # relative distance below which a time counts as a knot
 TIME = "time"
+STANDS = "stands: "  # before a foot's name: 1 while it bears load in the plan, else 0
 POSITION = "position of "  # before a joint's name where an actuator is called the same
 PARTS = ("states", "controls")
 SUFFIXES = (".yaml", ".yml", ".json")
@@ -65,6 +68,8 @@ class ExportedMotion(Protocol):
     def space(self) -> StateSpace: ...  # noqa: D102
     @property
     def twin(self) -> Twin | None: ...  # noqa: D102
+    @property
+    def touch_downs(self) -> tuple[TouchDown, ...]: ...  # noqa: D102
 
 
 class Samples(NamedTuple):
@@ -169,6 +174,11 @@ def _table(plan: ExportedMotion, rate: float | None, only: str | None) -> tuple[
     if only != "states":
         columns += control_names(plan)
         parts.append(samples.us)
+    if only is None:
+        mechanism = capabilities_of(getattr(plan.problem, "dynamics", None)).mechanism
+        feet = standing(mechanism, samples.xs) if mechanism is not None and plan.touch_downs else {}
+        columns += [Coordinate(f"{STANDS}{foot}", "") for foot in feet]
+        parts += [stands[:, None].astype(float) for stands in feet.values()]
     table = np.concatenate(parts, axis=1)
     return columns, table[:-1] if only == "controls" else table
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import io
 import warnings
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,7 @@ from planner.problem.progress import (
     state_outside,
 )
 from planner.problem.stored_problem import to_arrays, unstorable_part
+from planner.problem.touch_downs import TouchDown, touch_downs_of
 
 JUDGED_PARTS = 20  # of a stage, between whose ends a plan's states are interpolated linearly to judge its goals
 
@@ -96,6 +98,7 @@ class Plan(Built, Plottable):
     options: dict[str, Any] = field(default_factory=dict)
     changed: tuple[str, ...] = ()
     bound_penalties: BoundPenalties | None = None
+    stored_touch_downs: tuple[TouchDown, ...] = ()
 
     @property
     def N(self) -> int:
@@ -179,6 +182,11 @@ class Plan(Built, Plottable):
         if self.problem is not None:
             return space_of(self.problem.dynamics)
         return euclidean(self.xs.shape[1]) if self.stored_space is None else self.stored_space
+
+    @cached_property
+    def touch_downs(self) -> tuple[TouchDown, ...]:
+        """When feet begin to bear load, for which the gains wait (problem.touch_downs); without problem its file's."""
+        return self.stored_touch_downs if self.problem is None else touch_downs_of(self.problem.dynamics, self.xs)
 
     @property
     def start(self) -> int:
@@ -291,6 +299,7 @@ class Plan(Built, Plottable):
             "options": self.options, "objective": None if objective is None else objective.weights,
             "limits": None if self.problem is None or self.problem.limits is None else self.problem.limits.to_dict(),
             "tolerance": None if self.problem is None else stored_tolerance(self.problem.tolerance),
+            "touch_downs": [one.to_dict() for one in self.touch_downs],
         }  # fmt: skip
         history = np.array(self.history, dtype=float).reshape(-1, len(Iteration._fields))
         arrays = {"t": self.t, "xs": self.xs, "us": self.us, "K": self.K, "history": history}

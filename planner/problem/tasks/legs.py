@@ -45,8 +45,8 @@ def standing_feet(mechanism: Mechanism, x: np.ndarray) -> list[Foot]:
     feet = []
     for link in dict.fromkeys(one.link for one in loaded):
         own = [one for one in loaded if one.link == link]
-        name = next((mechanism.body_names[k] for k, body in enumerate(mechanism.bodies) if body.link == link), "")
-        feet.append(Foot(name, link, np.array([one.centre for one in own]), np.array(own[0].plane.normal)))
+        points, normal = np.array([one.centre for one in own]), np.array(own[0].plane.normal)
+        feet.append(Foot(mechanism.body_of(link), link, points, normal))
     return feet
 
 

@@ -180,7 +180,7 @@ def replay_in(
     recorder = ContactRecorder(model, M, records=None if contacts or not knows_contacts(plan) else False)
     ctrl = compiled.commands(np.repeat(plan.us, n, axis=0))
 
-    gains = Gains(plan, twin, model, plan_xs, n, sampling) if feedback else None
+    gains = Gains(plan, compiled, model, plan_xs, n, sampling) if feedback else None
 
     def with_gains(i: int, w: np.ndarray) -> np.ndarray:
         assert gains is not None

@@ -18,8 +18,10 @@ import numpy as np
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
-from planner.model.twin import Twin
 from planner.problem.plan import Plan
+from planner.problem.touch_downs import StageRule, feet_of, reference
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.foot_loads import FootLoads
 
 PERIOD = 2e-3  # s: 500 Hz
 HINGE = 2.0 * math.pi / 2**17  # rad, resolution of an encoder of 17 bits
@@ -86,28 +88,40 @@ def sampling_in(dt: float) -> Sampling:
 
 
 class Gains:
-    """The controls of a plan with its gains, as a function of successive states."""
+    """The controls of a plan with its gains, as a function of successive states; around touch-downs they wait."""
 
     def __init__(
-        self, plan: Plan, twin: Twin, model: Any, plan_xs: np.ndarray, substeps: int, sampling: Sampling | None
-    ) -> None:
+        self, plan: Plan, compiled: CompiledTwin, model: Any, plan_xs: np.ndarray, substeps: int,
+        sampling: Sampling | None,
+    ) -> None:  # fmt: skip
         """For states of MuJoCo's model and the plan (M+1, nx) at its steps; ideal gains at each step for None."""
         assert plan.problem is not None  # its dynamics give the stage length
         dt = plan.problem.dynamics.dt
         self.held = 1 if sampling is None else int(sampling.in_stages(dt) * substeps)  # steps per sampling period
-        self._plan, self._twin, self._plan_xs, self._space = plan, twin, plan_xs, plan.space
-        self._us, self._stage = np.repeat(plan.us, substeps, axis=0), np.repeat(np.arange(plan.N), substeps)
+        self._plan, self._twin, self._plan_xs, self._space = plan, compiled.twin, plan_xs, plan.space
+        self._stage, self._dynamics = np.repeat(np.arange(plan.N), substeps), plan.problem.dynamics
+        self._compiled, self._model, self._substeps = compiled, model, substeps
+        self._data = load_mujoco().MjData(model) if plan.touch_downs else None
+        self._loads = FootLoads(model, feet_of(plan.touch_downs))
+        self._rule = StageRule([one for one in plan.touch_downs if self._loads.known(one.feet)])
+        self._u = plan.us[0]
         self._late = deque([np.zeros(plan.us.shape[1])] * (0 if sampling is None else sampling.delay))
         self._encoders = Encoders(model, sampling.period) if sampling is not None and sampling.encoders else None
 
     def __call__(self, i: int, w: np.ndarray) -> np.ndarray:
         """The controls (held, nu) from step i on, whose state is w (nw,)."""
-        w = w if self._encoders is None else self._encoders(w)
-        x = self._twin.x_of(w)
-        dx = self._space.single_difference(x, self._plan_xs[i])
-        self._late.append(self._plan.K[self._stage[i]] @ dx)
-        until = slice(i, i + self.held)
-        return self._plan.within_bounds(self._stage[until], self._us[until] + self._late.popleft())
+        bears = self._loads.sensed(self._model, self._data, w, self._compiled.commands(self._u))
+        waits = self._rule(i / self._substeps, bears)
+        x = self._twin.x_of(w if self._encoders is None else self._encoders(w))
+        stages, x_ref = self._stage[i : i + self.held], self._plan_xs[i]
+        if waits is not None:
+            since = self._dynamics.dt * (i / self._substeps - waits.stage)
+            x_ref = reference(self._dynamics, self._plan.xs[waits.stage], since)
+            stages = np.full_like(stages, waits.stage)
+        self._late.append(self._plan.K[stages[0]] @ self._space.single_difference(x, x_ref))
+        controls = self._plan.within_bounds(stages, self._plan.us[stages] + self._late.popleft())
+        self._u = controls[-1]
+        return controls
 
 
 class Encoders:

@@ -1,7 +1,7 @@
 """The rollouts of a Monte Carlo: their order, their batches here or on an executor, and a file of finished ones.
 
     1  with gains, until the success rate is decided (planner.proof.robustness.success)
-    2  open loop, the same machines
+    2  open loop, the same machines; with gains by the clock alone, if the plan's stage waits for touch-downs
     3  the mass margins, by bisection over the levels
 
 So the word about robustness is known first. Finished rollouts are stored, and not run again after an interruption.
@@ -28,13 +28,14 @@ from planner.base.gl import load_mujoco
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.perturbation import Perturbation, PerturbationSample, draw, draw_masses
-from planner.proof.robustness.rollouts import MODES, Rollouts
+from planner.proof.robustness.rollouts import CLOCK, MODES, Rollouts
 from planner.proof.robustness.success import LOOKS, SuccessRule, enough, next_look
 
 ENOUGH = 0.95  # success rate required at a mass error within the margin
 LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # mass errors, relative
 _PER_LEVEL = 20  # smallest number of rollouts with a 95 % rate below all
 _QUICK = 5  # of these, first; all where fewer rollouts than the first look are requested
+_BY_CLOCK = 32  # largest number of rollouts by the clock, which are only shown
 _MAX_LEVELS = 4  # maximum number of bisection steps over nine levels
 
 
@@ -61,6 +62,8 @@ class MonteCarlo:
             look = max(look, min(len(known) + self._batches.together, self.asked))  # those beyond a look may not count
             self._extend("cases", "feedback", look, self._case, to_come=2 * self.asked - look + margins)
         self._extend("cases", "open-loop", self.done, self._case, to_come=margins)
+        if self.simulator.plan.touch_downs:
+            self._extend("cases", CLOCK, min(self.done, _BY_CLOCK), self._case, to_come=margins)
         for mode in MODES[::-1]:
             margins -= _MAX_LEVELS * self.per_level
             self.margin[mode] = self._margin(mode, margins)

@@ -29,18 +29,22 @@ from planner.proof.replays.replaying import Replay
 from planner.proof.replays.simulation import RUNAWAY, set_state, state_of, warnings_of
 from planner.proof.robustness.monte_carlo import MonteCarlo
 from planner.proof.robustness.perturbation import Perturbation, draw
-from planner.proof.robustness.rollouts import MODES, OutOfTime, Rollouts
+from planner.proof.robustness.rollouts import CLOCK, MODES, OutOfTime, Rollouts
 from planner.proof.robustness.success import SuccessRate, SuccessRule, end_errors, rule_of
 
 PERCENTILES = (5, 25, 50, 75, 95)
 JUDGED = " with its gains"  # the rate with gains is judged: a plan may be robust with them and never succeed open loop
+_HOW = {"open-loop": "open loop", "feedback": "with gains", CLOCK: "with gains by the clock alone"}
 _WORST = 5
 _PIECES = 6  # minimum number of batches within a budget, by the estimated time
 
 
 @dataclass(frozen=True, eq=False)
 class RobustnessResult:
-    """Results of a Monte Carlo. Modes are "open-loop" and "feedback"."""
+    """Results of a Monte Carlo. Modes are "open-loop" and "feedback".
+
+    Of a plan whose stage waits for touch-downs also "clock", fewer rollouts with gains whose stage does not.
+    """
 
     perturbation: Perturbation  # The errors that were drawn
     seed: int  # Of the random numbers
@@ -98,7 +102,7 @@ class RobustnessResult:
                     f"{name}_median_end_error", 100.0 * median, "%", None, "largest, of the coordinate's range"
                 ),
             ]
-            if math.isfinite(self.margin[mode]):
+            if math.isfinite(self.margin.get(mode, math.nan)):
                 note = f"largest error of every body's mass at which 95 % of {self.per_level} succeed, by bisection"
                 measured.append(Measurement(f"{name}_mass_margin", 100.0 * self.margin[mode], "%", None, note))
         return Section("robustness", tuple(measured))
@@ -110,8 +114,9 @@ class RobustnessResult:
         lines += [f"robustness: {word}{'' if word == 'pending' else JUDGED}"] if self.done else []
         for mode, rate in self.rates.items() if self.done else ():
             worst = ", ".join(map(str, self.worst[mode]))
-            how = "open loop" if mode == "open-loop" else "with gains"
-            found = f"{rate} succeed; farthest off (--replay-rollout): {worst}" if rate.of else "not simulated"
+            how = _HOW[mode]
+            found = f"{rate} succeed" if rate.of else "not simulated"
+            found += f"; farthest off (--replay-rollout): {worst}" if rate.of and mode != CLOCK else ""
             lines.append(f"robustness, {how}: {found}")
         return lines
 
@@ -125,7 +130,7 @@ class RobustnessResult:
             "modes": {
                 mode: {
                     "success": rate.to_dict(), "worst": list(self.worst[mode]),
-                    "mass_margin": finite(self.margin[mode]),
+                    "mass_margin": finite(self.margin.get(mode, math.nan)),
                     "end_error": finite([float(error) for error in self.end_error[mode]]),
                 }
                 for mode, rate in self.rates.items()
@@ -187,11 +192,12 @@ def _result(
 ) -> RobustnessResult:
     """What is known of the rollouts that count."""
     simulator, rule = monte_carlo.simulator, monte_carlo.rule
+    modes = (*MODES, CLOCK) if simulator.plan.touch_downs else MODES
     return RobustnessResult(
         perturbation=perturbation, seed=trials.seed, asked=trials.rollouts, done=monte_carlo.done, step=simulator.step,
         control_step=simulator.control_step, tolerance=rule.most,
-        end_error={mode: end_errors(simulator.plan, monte_carlo.ends(mode)) for mode in MODES},
-        success={mode: monte_carlo.succeeded(mode) for mode in MODES},
+        end_error={mode: end_errors(simulator.plan, monte_carlo.ends(mode)) for mode in modes},
+        success={mode: monte_carlo.succeeded(mode) for mode in modes},
         margin={mode: monte_carlo.margin[mode] for mode in MODES},
         per_level=monte_carlo.per_level, t=simulator.plan.t[simulator.knots],
         fans={mode: _percentiles(monte_carlo.deviations(mode)) for mode in MODES}, rule=rule.words, notes=notes,
@@ -232,7 +238,7 @@ def replay_rollout(
         recorder = ContactRecorder(model, M)
         w[0] = batch.start[0]
         set_state(model, data, w[0])
-        with rollouts.curves(batch, [data]):
+        with rollouts.curves(batch, [data, rollouts.sensing]):
             for i in range(M):
                 if i % piece == 0:
                     n, before = min(piece, M - i), complaints.tolist()

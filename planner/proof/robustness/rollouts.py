@@ -29,8 +29,10 @@ from planner.dynamics.assembly import tangent_basis
 from planner.model.capabilities import capabilities_of
 from planner.problem.goals import stages_asked
 from planner.problem.plan import Plan
+from planner.problem.touch_downs import StageRule, TouchDown, feet_of, near_touch_downs, reference
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch
+from planner.proof.replays.foot_loads import FootLoads
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import problem_of
 from planner.proof.replays.simulation import MAX_STEPS, NATIVE_IMPLICIT, RUNAWAY, damping_of
@@ -38,6 +40,7 @@ from planner.proof.robustness.perturbation import Nominal, Perturbation, Perturb
 from planner.proof.robustness.success import ranges_of_motion
 
 MODES = ("open-loop", "feedback")
+CLOCK = "clock"  # feedback whose stage is the clock's at touch-downs too, beside the plan's rule
 CONTROL_RATE = 500.0  # Hz, of a controller
 AGREES = 0.01  # of each coordinate's range of motion: largest difference of Euler from RK4
 MAX_KNOTS = 200  # maximum number of stored knots
@@ -95,6 +98,7 @@ class Rollouts:
         mujoco.mj_getState(model, self._scratch, self._row, self._full)
         threads = processors() if threads is None else threads
         self._data = [mujoco.MjData(model) for _ in range(threads)]
+        self.sensing = self._data[0]  # for the loads of feet between two calls
         self._pool = load_rollout().Rollout(nthread=threads if threads > 1 else 0)
         self._alone = load_rollout().Rollout(nthread=0)
         self.integrator = "RK4"  # until it is known
@@ -217,15 +221,21 @@ class Rollouts:
         """Steps per call, and the function (step i, n, w (K, nw)) -> controls (K, n, nu)."""
         if mode == "open-loop":
             return self._segment, lambda i, n, w: self._held(batch, i, n)
-        return self.substeps, _Feedback(self, batch)
+        return self.substeps, _Feedback(self, batch, () if mode == CLOCK else self.plan.touch_downs)
 
-    def deviation(self, w: np.ndarray, control_step: int) -> np.ndarray:
-        """Differences (K, ndx) of simulator states (K, nw) from the plan at a control step."""
-        x, x_plan = self.x_of(w), self._plan_xs[control_step]
-        if len(x) > 1:
-            return self.plan.space.difference(x, x_plan)
+    def control(self, w: np.ndarray, control_step: int, waits: TouchDown | None = None) -> np.ndarray:
+        """Controls with gains (K, nu), within bounds, at simulator states (K, nw) at a control step."""
+        x, x_ref, plan = self.x_of(w), self._plan_xs[control_step], self.plan
+        stage = control_step // self.control_steps
+        if waits is not None:
+            since = self.control_step * (control_step - self.control_steps * waits.stage)
+            stage, x_ref = waits.stage, reference(self._problem.dynamics, plan.xs[waits.stage], since)
         # NumPy may take another sine for a single number than for several, with another last bit.
-        return self.plan.space.difference(np.repeat(x, 2, axis=0), x_plan)[:1]
+        dx = plan.space.difference(x if len(x) > 1 else np.repeat(x, 2, axis=0), x_ref)[: len(x)]
+        u, gains = np.tile(plan.us[stage], (len(w), 1)), plan.K[stage]
+        for column in np.flatnonzero(gains.any(axis=0)):
+            u += dx[:, column, None] * gains[:, column]
+        return plan.within_bounds(stage, u)
 
     def _held(self, batch: RolloutBatch, i: int, n: int) -> np.ndarray:
         """The plan's controls over n steps, delayed and noisy."""
@@ -235,28 +245,48 @@ class Rollouts:
 
 
 class _Feedback:
-    """u = us[n] + K[n] difference(x, x_plan(t)) of every rollout, once per control step; delayed and noisy."""
+    """u = us[n] + K[n] difference(x, x_plan(t)) of every rollout, once per control step; delayed and noisy.
 
-    def __init__(self, rollouts: Rollouts, batch: RolloutBatch) -> None:
+    Around touch-downs the stage of each rollout waits for its own feet.
+    """
+
+    def __init__(self, rollouts: Rollouts, batch: RolloutBatch, touch_downs: Sequence[TouchDown]) -> None:
         K, c = len(batch.models), rollouts.substeps
         self._rollouts, self._noise = rollouts, batch.noise
         self._past = (np.arange(c) - batch.delay[:, None]) // c  # (K, c) the control step that acts, from this one
         self._commands = np.empty((1 - int(self._past.min(initial=0)), K, batch.noise.shape[2]))  # the last ones
         self._each = np.arange(K)[:, None]
+        self._models, self._loads = batch.models, FootLoads(batch.models[0], feet_of(touch_downs))
+        touch_downs = [one for one in touch_downs if self._loads.known(one.feet)]
+        self._rules = [StageRule(touch_downs) for _ in batch.models]
+        self._near = near_touch_downs(touch_downs, rollouts.plan.N)
+        self._applied = np.zeros((K, batch.models[0].nu))
 
     def __call__(self, i: int, n: int, w: np.ndarray) -> np.ndarray:
         rollouts, past = self._rollouts, self._commands
         j = i // rollouts.substeps
         stage = j // rollouts.control_steps
-        dx, gains = rollouts.deviation(w, j), rollouts.plan.K[stage]
-        u = np.tile(rollouts.plan.us[stage], (len(w), 1))
-        for column in np.flatnonzero(gains.any(axis=0)):
-            u += dx[:, column, None] * gains[:, column]
-        u = rollouts.plan.within_bounds(stage, u)
+        u = rollouts.control(w, j)
+        if self._near[stage]:
+            self._wait(u, j, w)
         if j == 0:
             past[:] = u  # applied before the first instant
         past[j % len(past)] = u
-        return past[(j + self._past) % len(past), self._each] + self._noise[:, stage, None]
+        commands = past[(j + self._past) % len(past), self._each] + self._noise[:, stage, None]
+        self._applied[:] = commands[:, -1]
+        return commands
+
+    def _wait(self, u: np.ndarray, j: int, w: np.ndarray) -> None:
+        """Replace the controls (K, nu) of rollouts whose stage at control step j is that of a touch-down."""
+        rollouts, waiting = self._rollouts, dict[TouchDown, list[int]]()
+        for k, (rule, model) in enumerate(zip(self._rules, self._models, strict=True)):
+            if not np.isfinite(w[k]).all():
+                continue
+            bears = self._loads.sensed(model, rollouts.sensing, w[k], self._applied[k])
+            if (one := rule(j / rollouts.control_steps, bears)) is not None:
+                waiting.setdefault(one, []).append(k)
+        for one, rows in waiting.items():
+            u[rows] = rollouts.control(w[rows], j, one)
 
 
 def _affine(matrix: np.ndarray, offset: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

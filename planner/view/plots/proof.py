@@ -77,7 +77,8 @@ def draw_proof(proof: Proof) -> Figure:
 def _draw_growth(axes: Axes, errors: ErrorPropagation) -> None:
     dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", f"largest {SHARE}", "time, s")
     drawn = []
-    for mode, colour in MODE_COLOURS.items():
+    for mode in errors.measured:
+        colour = MODE_COLOURS[mode]
         for values, line, width, words in (
             (errors.measured[mode], "-", 2.6, MODE_WORDS[mode]),
             (errors.predicted[mode], DASHED, 1.1, f"{MODE_WORDS[mode]}, predicted"),

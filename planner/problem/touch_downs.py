@@ -1,0 +1,143 @@
+"""Touch-downs: when feet of a plan begin to bear load, and the rule by which the gains wait for them.
+
+A foot lands early or late where the ground is not as high as planned. Gains of the wrong phase then act on it, so the
+stage n of u = us[n] + K[n] (x - x_ref) is not the clock's around a touch-down that is planned for the stage n_e:
+
+    early   from the first instant at which its feet bear load, n = n_e until the clock is there
+    late    from when the clock is there, n = n_e until a foot bears load, at most WINDOW
+
+with x_ref = xs[n_e] moved on, or back, at its own velocity until now: the reference goes on smoothly before and after
+an impact at another time (reference spreading: Rijnen, Saccon, Nijmeijer, 2015). The stage never goes back, and far
+from touch-downs it is the clock's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.dynamics.contacts import contact_forces
+from planner.model.capabilities import capabilities_of, roots
+from planner.model.mechanism import Mechanism
+from planner.model.space import space_of
+
+BEARS = 0.02  # of the weight of the machine: a foot under less does not stand, as foot switches are set
+WINDOW = 0.04  # s, longest wait, and earliest touch-down
+TOGETHER = 0.03  # s: feet that land within it, as those of a trot, are one touch-down; a foot back by then bounces
+_ROUNDING = 1e-6  # of a stage
+
+
+class TouchDown(NamedTuple):
+    """Feet that begin to bear load together."""
+
+    stage: int  # the first at whose start they do
+    feet: tuple[str, ...]  # names of bodies
+    earliest: int  # stage from which they may
+    latest: int  # stage until which they are waited for
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values: the list touch_downs of a plan's file."""
+        return {**self._asdict(), "feet": list(self.feet)}
+
+    @classmethod
+    def from_dict(cls, table: dict[str, Any]) -> TouchDown:
+        """Of such values."""
+        return cls(int(table["stage"]), tuple(table["feet"]), int(table["earliest"]), int(table["latest"]))
+
+
+def touch_downs_of(dynamics: Any, xs: np.ndarray) -> tuple[TouchDown, ...]:
+    """The touch-downs of a motion xs (N+1, nx); none for dynamics without feet on planes, or with unnamed bodies."""
+    mechanism = capabilities_of(dynamics).mechanism
+    if mechanism is None or not mechanism.contacts or not np.isfinite(xs).all():
+        return ()
+    window, together = (max(round(seconds / dynamics.dt), 1) for seconds in (WINDOW, TOGETHER))
+    found = []
+    for name, bears in standing(mechanism, xs).items():
+        for n in np.flatnonzero(bears[1:-1] & ~bears[:-2]) + 1:
+            before = np.flatnonzero(bears[:n])
+            airborne = n if not len(before) else n - 1 - before[-1]  # stages
+            if airborne >= together:
+                earliest = n - min(window, (airborne + 1) // 2)
+                found.append(TouchDown(int(n), (name,), int(earliest), int(n + window)))
+    return _joined(sorted(found), together)
+
+
+def standing(mechanism: Mechanism, xs: np.ndarray) -> dict[str, np.ndarray]:
+    """Whether each foot bears load at states xs (N, nx), (N,) bool by the name of its body."""
+    forces = contact_forces(mechanism, xs[:, : mechanism.nq], xs[:, mechanism.velocities]).forces
+    root, driven = roots(mechanism), mechanism.directly_actuated
+    found: dict[str, np.ndarray] = {}
+    for link in dict.fromkeys(one.link for one in mechanism.contacts):
+        name, tree = mechanism.body_of(link), root == root[link]
+        if not name or not driven[tree].any():
+            continue
+        own = [k for k, one in enumerate(mechanism.contacts) if one.link == link]
+        pressed = sum(forces[:, k] @ mechanism.contacts[k].plane.normal for k in own)
+        weight = float(mechanism.mass[tree].sum() * np.linalg.norm(mechanism.gravity))
+        found[name] = pressed > BEARS * weight
+    return found
+
+
+def _joined(single: Sequence[TouchDown], together: int) -> tuple[TouchDown, ...]:
+    """Touch-downs in order, those at most so many stages apart as one."""
+    joined: list[TouchDown] = []
+    for one in single:
+        last = joined[-1] if joined else None
+        if last is not None and one.stage - last.stage <= together and one.feet[0] not in last.feet:
+            joined[-1] = TouchDown(one.stage, (*last.feet, *one.feet), max(last.earliest, one.earliest), one.latest)
+        else:
+            joined.append(one)
+    return tuple(joined)
+
+
+class StageRule:
+    """Which touch-down gives the stage, as time goes on; one for each run."""
+
+    def __init__(self, touch_downs: Sequence[TouchDown]) -> None:
+        self._touch_downs, self._next, self._early = touch_downs, 0, False
+
+    def __call__(self, clock: float, bears: Callable[[str], bool]) -> TouchDown | None:
+        """The touch-down whose stage acts; None where it is the clock's.
+
+        Args:
+            clock: Time in stages; it does not go back.
+            bears: Whether a foot bears load now, by its name; asked around touch-downs alone.
+        """
+        clock += _ROUNDING
+        while self._next < len(self._touch_downs):
+            one = self._touch_downs[self._next]
+            if clock < one.earliest:
+                return None
+            if clock < one.stage:
+                # The plan's own feet begin to bear load within the stage before: that is not early.
+                if not self._early and clock < one.stage - 1:
+                    self._early = all(map(bears, one.feet))
+                return one if self._early else None
+            if not self._early and clock < one.latest and not any(map(bears, one.feet)):
+                return one
+            self._next, self._early = self._next + 1, False
+        return None
+
+
+def reference(dynamics: Any, x: np.ndarray, seconds: float) -> np.ndarray:
+    """A state (nx,) moved on by so many seconds at its own velocity."""
+    space, mechanism = space_of(dynamics), capabilities_of(dynamics).mechanism
+    assert mechanism is not None  # it has touch-downs
+    way = np.zeros(space.ndx)
+    way[: mechanism.nv] = seconds * x[mechanism.velocities]
+    return space.integrate(x, way)
+
+
+def feet_of(touch_downs: Sequence[TouchDown]) -> tuple[str, ...]:
+    """Names of all feet that touch down."""
+    return tuple(dict.fromkeys(foot for one in touch_downs for foot in one.feet))
+
+
+def near_touch_downs(touch_downs: Sequence[TouchDown], N: int) -> np.ndarray:
+    """(N,) bool, the stages in which a rule may differ from the clock."""
+    near = np.zeros(N, dtype=bool)
+    for one in touch_downs:
+        near[one.earliest : one.latest + 1] = True
+    return near
