@@ -125,9 +125,9 @@ def reference(dynamics: Any, x: np.ndarray, seconds: float) -> np.ndarray:
     """A state (nx,) moved on by so many seconds at its own velocity."""
     space, mechanism = space_of(dynamics), capabilities_of(dynamics).mechanism
     assert mechanism is not None  # it has touch-downs
-    way = np.zeros(space.ndx)
-    way[: mechanism.nv] = seconds * x[mechanism.velocities]
-    return space.integrate(x, way)
+    moves = np.zeros(space.ndx)
+    moves[: mechanism.nv] = seconds * x[mechanism.velocities]
+    return space.integrate(x, moves)
 
 
 def feet_of(touch_downs: Sequence[TouchDown]) -> tuple[str, ...]:

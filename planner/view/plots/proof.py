@@ -23,9 +23,11 @@ from planner.proof.error_scales import by_unit, has_contacts, is_path_judged, pa
 from planner.proof.goal_regulator import RegulatedRun
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbed import RobustnessResult
+from planner.proof.robustness.rollouts import CLOCK
 from planner.proof.step_convergence import StepConvergence
 from planner.view.plots.style import (
     DASHED,
+    GREYS,
     HUES,
     INK,
     MODE_COLOURS,
@@ -77,8 +79,7 @@ def draw_proof(proof: Proof) -> Figure:
 def _draw_growth(axes: Axes, errors: ErrorPropagation) -> None:
     dress(axes, "Growth of errors: MuJoCo (solid), predicted from the plan (dashed)", f"largest {SHARE}", "time, s")
     drawn = []
-    for mode in errors.measured:
-        colour = MODE_COLOURS[mode]
+    for mode, colour in MODE_COLOURS.items():
         for values, line, width, words in (
             (errors.measured[mode], "-", 2.6, MODE_WORDS[mode]),
             (errors.predicted[mode], DASHED, 1.1, f"{MODE_WORDS[mode]}, predicted"),
@@ -170,15 +171,15 @@ def _draw_ends(axes: Axes, rollouts: RobustnessResult) -> None:
     for mode, errors in ends.items():
         exact = int(np.sum(rollouts.end_error[mode] == 0.0))
         shown = np.concatenate([np.clip(errors[np.isfinite(errors)], bins[0], bins[-1]), np.full(exact, bins[0])])
-        rate = rollouts.rates[mode]
+        rate, name = rollouts.rates[mode], (MODE_WORDS | {CLOCK: "with gains, by the clock"})[mode]
         lowest, highest = rate.interval
         words = (
-            f"{MODE_WORDS[mode]}: {100.0 * rate.value:.1f} % succeed ({rate.successes} of {rate.of}, "
+            f"{name}: {100.0 * rate.value:.1f} % succeed ({rate.successes} of {rate.of}, "
             f"95 % interval {100.0 * lowest:.1f} to {100.0 * highest:.1f} %)"
         )
         exploded = rate.of - len(shown)
         words += f", {exploded} exploded" if exploded else ""
-        colour = MODE_COLOURS[mode]
+        colour = (MODE_COLOURS | {CLOCK: GREYS[1]})[mode]
         axes.hist(shown, bins=list(bins), color=colour, alpha=0.35, label=words)
         axes.hist(shown, bins=list(bins), histtype="step", color=colour, lw=1.2)
     if math.isfinite(rollouts.tolerance):

@@ -39,8 +39,8 @@ HUES = (
 )
 GREYS = ("#222222", "#8a8a8a", "#cccccc")
 # Distinct for the colour-blind as well (after Okabe and Ito).
-MODE_COLOURS = {"open-loop": "#c1570a", "feedback": "#0b5aa6", "clock": "#6f6f6f"}
-MODE_WORDS = {"open-loop": "open loop", "feedback": "with gains", "clock": "with gains, by the clock alone"}
+MODE_COLOURS = {"open-loop": "#c1570a", "feedback": "#0b5aa6"}
+MODE_WORDS = {"open-loop": "open loop", "feedback": "with gains"}
 
 DECADES = 100.0  # a log axis at least so long says enough by its powers of ten
 DRAWABLE = 1e60  # larger values are not drawn: matplotlib's axes would overflow
