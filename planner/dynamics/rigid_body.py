@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
+from planner.dynamics.second_thread import SolveMemory
 from planner.kernels.integrators import KNOWN_INTEGRATORS, ROSENBROCK, SEMI_IMPLICIT_EULER
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import padded
@@ -256,9 +257,9 @@ class RigidBodyDynamics:
         A = np.concatenate([place, rate], axis=1)
         return A, np.concatenate([self.dt * (J @ rate_by_u), rate_by_u], axis=1)
 
-    def memory(self, N: int, appended: int = 0) -> TreeMemory:
+    def memory(self, N: int, appended: int = 0) -> SolveMemory:
         """Scratch memory of a solve of N stages, of states with `appended` components behind the machine's own."""
-        return TreeMemory(self._model, self._known, N, substeps=self.substeps, appended=appended)
+        return SolveMemory(self._model, self._known, N, substeps=self.substeps, appended=appended)
 
     def second_order_memory(self) -> tree_second.SecondOrderMemory:
         """Scratch memory of second_order_nominal; PlannerError for features without second derivatives."""
@@ -284,20 +285,30 @@ class RigidBodyDynamics:
                 raise PlannerError(f'hessian="exact" {reason}, expected hessian="gauss-newton"{instead}.')
         return tree_second.SecondOrderMemory(self._model, self._known)
 
-    def linearize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
+    def linearize_nominal(self, w: Workspace, memory: SolveMemory) -> None:
         """Fill w.F along w.xs, w.us."""
-        m, r, external = self._model.table, memory.table, self._model.external
-        if self.structured:
-            tree_linearize.linearize_structured(m, r, self.dt, w.xs, w.us, w.F, w.transport, external)
-        else:
-            tree_linearize.linearize_dense(m, r, self.dt, w.xs, w.us, w.F, external)
+        m, external, dt = self._model.table, self._model.external, self.dt
 
-    def stage_ends(self, w: Workspace, memory: TreeMemory) -> np.ndarray:
+        def part(first: int, end: int) -> None:
+            r = memory.table_of(first)
+            xs, us, F = w.xs[first:], w.us[first:end], w.F[first:end]
+            if self.structured:
+                tree_linearize.linearize_structured(m, r, dt, xs, us, F, w.transport[first:end], external)
+            else:
+                tree_linearize.linearize_dense(m, r, dt, xs, us, F, external)
+
+        memory.in_halves("linearize", part, len(w.us))
+
+    def stage_ends(self, w: Workspace, memory: SolveMemory) -> np.ndarray:
         """The states (N, nx) after one stage from each of w.xs, w.us; prepares linearize_nominal."""
         announce_named(variant("tree steps", self._model))
-        xs, lengths = w.xs[:-1], np.full(len(w.us), self.dt)
-        ends, m = np.empty_like(xs), self._model
-        tree_step.steps(m.table, memory.table, lengths, xs, w.us, ends, True, m.external)
+        lengths, ends, m = np.full(len(w.us), self.dt), np.empty_like(w.xs[:-1]), self._model
+
+        def part(first: int, end: int) -> None:
+            stages, r = slice(first, end), memory.table_of(first)
+            tree_step.steps(m.table, r, lengths[stages], w.xs[stages], w.us[stages], ends[stages], True, m.external)
+
+        memory.in_halves("steps", part, len(w.us))
         return ends
 
     def search(

@@ -31,6 +31,7 @@ import numpy as np
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.base.executors import checked_executor
+from planner.dynamics.second_thread import second_thread
 from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
@@ -53,6 +54,7 @@ from planner.solvers.trapped import direct_iterations, is_trapped
 from planner.solvers.work import UntilDeadline, WorkBudget, budget_of, with_cut
 
 
+@second_thread()
 def solve(
     problem: Problem,
     options: SolverOptions | None = None,

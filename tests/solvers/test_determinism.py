@@ -1,5 +1,6 @@
 """A plan depends on its problem alone: the same bits again, after other solves, in threads; solves leave no trace."""
 
+import multiprocessing
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
@@ -18,6 +19,7 @@ import planner
 from planner import Constraint, Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost, solve, solve_for
 from planner.constraints import Avoid
 from planner.costs import FrameCost, Height, Point
+from planner.dynamics.second_thread import Trials
 from planner.solvers import multistart
 from planner.solvers.engine import CompiledEngine, _idle, acquire_engine, compiled, release_engine
 
@@ -188,6 +190,48 @@ def test_in_threads():
     with ThreadPoolExecutor(4) as pool:
         for kind, plan in zip(kinds, pool.map(lambda kind: new[kind](), kinds), strict=True):
             assert not changed(kind, plan), kind
+
+
+IN_HALVES = (
+    "arm", "arm, exact", "bounds", "ranges and bounds, from a line", "ranges and bounds, by accelerations", "avoid",
+    "contact", "closed chain", "friction loss", "prescribed",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", IN_HALVES)
+def test_a_second_thread_changes_no_bit(kind, monkeypatch):
+    tried = []
+    monkeypatch.setattr(Trials, "two_are_faster", lambda trials: tried.append(trials) or True)
+    assert not changed(kind, KINDS[kind]()())
+    assert tried
+
+
+def solved_in_a_fork(queue):
+    """The cost of a solve by two threads in a forked process, of whose parent's threads it has none."""
+    queue.put(solve(arm()).cost)
+
+
+def test_a_forked_process_has_a_second_thread_of_its_own(monkeypatch):
+    monkeypatch.setattr(Trials, "two_are_faster", lambda trials: True)
+    cost, context = solve(arm()).cost, multiprocessing.get_context("fork")
+    queue = context.SimpleQueue()
+    child = context.Process(target=solved_in_a_fork, args=(queue,))
+    child.start()
+    child.join(60.0)
+    assert child.exitcode == 0
+    assert queue.get() == cost
+
+
+def test_only_solves_of_the_main_thread_use_a_second_one(monkeypatch):
+    tried = []
+    monkeypatch.setattr(Trials, "two_are_faster", lambda trials: tried.append(trials))
+    problem = arm()
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(solve, problem).result()
+    engine = acquire_engine(problem)  # as a controller has it
+    engine.start_from_controls(problem.x0, problem.first_guess)
+    engine.compute_direction(0.0, True)
+    assert not tried
 
 
 def spoil(engine):
