@@ -65,7 +65,7 @@ def engine_of(mechanism: Any, x0: np.ndarray, u: np.ndarray) -> Any:
     problem = Problem(dynamics, cost, x0, us=np.tile(u, (N, 1)))
     engine = acquire_engine(problem)
     engine.start_from_controls(problem.x0, problem.first_guess)
-    engine.sweep(0.0, True)
+    engine.compute_direction(0.0, True)
     return engine
 
 
@@ -78,7 +78,7 @@ def iteration(engine: Any) -> Callable[[], float]:
         engine.start_from_controls(x0, us)  # an open tree falls apart: the search's trajectory is none to go on from
         began = time.process_time()
         dynamics.linearize_nominal(w, memory)
-        engine.sweep(0.0, False)
+        engine.compute_direction(0.0, False)
         dynamics.search(w, memory, 0, True, math.inf, -1.0)
         return time.process_time() - began
 
@@ -96,7 +96,7 @@ def beside_open() -> bool:
         closed = Mechanism.from_mjcf(path)
         x0 = assembled(closed, closed.home)
         u = quasi_static_controls(closed, x0)
-        machines = {"closed": closed, "open": replace(closed, loops=(), cams=())}
+        machines = {"closed": closed, "open": replace(closed, loops=(), polynomial_couplings=())}
         times = shortest({name: iteration(engine_of(m, x0, u)) for name, m in machines.items()})
         ratio = times["closed"] / times["open"]
         fine &= ratio <= MAX_OF_OPEN
