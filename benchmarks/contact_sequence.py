@@ -2,9 +2,9 @@
 
     python benchmarks/contact_sequence.py --crocoddyl PYTHON
 
-Both have the states' and controls' weights of moving/quadruped-trot.toml, its 200 stages of 0.01 s, and the same machine.
-Ours has compliant contacts in several substeps a stage, and finds when feet stand. Crocoddyl's feet are points that do
-not move while our plan has them stand, with one semi-implicit Euler step a stage. An iteration: linearize, sweep, try.
+Both have the weights of moving/quadruped-trot.toml, its 200 stages of 0.01 s, and the same machine. Ours has compliant
+contacts in several substeps a stage, and finds when feet stand. Crocoddyl's feet are points that do not move while our
+plan has them stand, with one semi-implicit Euler step a stage. An iteration: linearize, sweep, try.
 """
 
 from __future__ import annotations
@@ -93,9 +93,8 @@ def main() -> int:
         for _ in range(ROUNDS):
             best[0] = min(best[0], 1e3 * min(once() for _ in range(REPEATS)))
             best[1] = min(best[1], 1e3 * min(worker.ask("iterate", repeats=REPEATS, seconds=5.0)["times"]))
-    substeps = dynamics.substeps
-    print(f"an iteration of {task.N} stages: {best[0]:.3g} ms ours, {substeps} substeps a stage, no sequence; {best[1]:.3g} "
-          f"ms Crocoddyl's, one step, sequence given: {best[1] / best[0]:.2f} times ours")  # fmt: skip
+    print(f"an iteration of {task.N} stages: {best[0]:.3g} ms ours, {dynamics.substeps} substeps a stage, no sequence; "
+          f"{best[1]:.3g} ms Crocoddyl's, one step, sequence given: {best[1] / best[0]:.2f} times ours")  # fmt: skip
     return 0
 
 

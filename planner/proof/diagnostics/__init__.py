@@ -10,6 +10,7 @@ from __future__ import annotations
 from planner.problem.plan import Plan, Status
 from planner.proof.diagnostics.avoid_contact import avoid_contact
 from planner.proof.diagnostics.balance import falling, gait_needed, standing_goal
+from planner.proof.diagnostics.cycles import failing_cycle
 from planner.proof.diagnostics.effort import longer, more_time, passing_duration
 from planner.proof.diagnostics.goals import larger_weights, without_ignored
 from planner.proof.diagnostics.limits import fixed_joints, wider_margin, within_limits
@@ -27,6 +28,7 @@ _CAUSES = (
     penalize_velocity, within_limits, without_ignored, more_iterations, shorter_stage, calmer_gains, wider_margin,
     larger_weights, other_guesses, falling, not_a_minimum, soft_equalities,
 )  # fmt: skip
+_OF_CYCLES = (avoid_contact, fixed_joints, within_limits, more_iterations, shorter_stage, failing_cycle)
 
 
 def suggested_fixes(plan: Plan, proof: Proof | None = None) -> tuple[SuggestedFix, ...]:
@@ -39,10 +41,10 @@ def suggested_fixes(plan: Plan, proof: Proof | None = None) -> tuple[SuggestedFi
     done = (plan.converged or plan.status in (Status.GIVEN, Status.INTERRUPTED)) and not plan.missed_goals
     if done if proof is None else proof.passed:
         return ()
-    if plan.problem is None or plan.problem.periodic is not None:
+    if plan.problem is None:
         return ()
     found: dict[str, SuggestedFix] = {}
-    for cause in _CAUSES:
+    for cause in _CAUSES if plan.problem.periodic is None else _OF_CYCLES:
         for one in cause(plan, plan.problem, proof):
             found.setdefault(one.key, one)
         if any(one.value is None for one in found.values()):  # later findings are its effects

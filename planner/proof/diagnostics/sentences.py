@@ -16,6 +16,11 @@ SENTENCES = {
     "slip less and give more (docs/contact.md). Begin with a shorter or slower motion.",
     "gait_needed": "its four feet have to go {distance:.2g}, by a dozen steps that no first guess knows: a gait says "
     "which feet swing when (docs/contact.md)",
+    "cycle_unresolved": "stages of {dt:.4g} do not resolve the cycle",
+    "cycle_not_found": "No cycle of {travel} in {duration} was found that ends as it begins: write a shorter `travel`, "
+    "another `duration`, or a gait whose feet stand longer (`duty`).",
+    "cycle_not_followed": "MuJoCo does not follow cycles of {travel} in {duration}: write a shorter `travel`, another "
+    "`duration`, or a gait whose feet stand longer (`duty`); with `cycles = 1` one alone is judged.",
     # Shapes
     "ground_removed": '{pair} collide, and contacts = "off" removes the ground',
     "start_collides": "Another `start` is needed, or a model that excludes the pair: at the start {pair} overlap by "

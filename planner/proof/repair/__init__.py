@@ -104,7 +104,7 @@ def repair(
     found = suggested_fixes(plan, proof)
     if resumed or (proof is not None and proof.passed):
         return Repaired(plan, proof, path, found)
-    if of_file(problem):
+    if of_file(problem) and problem.periodic is None:  # a cycle takes many solves
         trials = FixTrials(problem, plan, tools.solve, tools.prove, refined, work, tools.max_iterations, tools.report)
         better, found = trials.run(found)
         if better is not None:
