@@ -68,19 +68,24 @@ class TrackedPlan:
     def _rule(self) -> StageRule:
         return StageRule(touch_downs_of(self._dynamics, self.xs))
 
-    def control(self, t: float, x: np.ndarray, standing_feet: Collection[str] | None = None) -> np.ndarray:
-        """The control (nu,) with feedback at t, s, and x (nx,), before bounds.
+    def control(self, t: float, x: np.ndarray) -> np.ndarray:
+        """The control (nu,) with feedback at t, s, and x (nx,), before bounds; its stage is the clock's."""
+        n = min(self._stages(t)[0], len(self.us) - 1)
+        return self.us[n] + self.K[n] @ self._space.single_difference(x, self.expected(t))
+
+    def waiting_control(self, t: float, x: np.ndarray, standing_feet: Collection[str] | None = None) -> np.ndarray:
+        """The same with a stage that waits for feet; t is now, and does not go back.
 
         `standing_feet` are the names of those that bear load; by default they are estimated from x by the contact law.
         """
         n, part = self._stages(t)
-        n, x_ref = min(n, len(self.us) - 1), None
-        if n > 0:  # a controller with a plan each stage never gets here
-            waits = self._rule(n + part, lambda foot: foot in self._standing(x, standing_feet))
-            if waits is not None:
-                n, since = waits.stage, self._dt * (n + part - waits.stage)
-                x_ref = reference(self._dynamics, self.xs[n], since)
-        return self.us[n] + self.K[n] @ self._space.single_difference(x, self.expected(t) if x_ref is None else x_ref)
+        if n == 0 or n >= len(self.us):  # a plan that is made again each stage has nothing to wait for
+            return self.control(t, x)
+        waits = self._rule(n + part, lambda foot: foot in self._standing(x, standing_feet))
+        if waits is None:
+            return self.control(t, x)
+        x_ref = reference(self._dynamics, self.xs[waits.stage], self._dt * (n + part - waits.stage))
+        return self.us[waits.stage] + self.K[waits.stage] @ self._space.single_difference(x, x_ref)
 
     def _standing(self, x: np.ndarray, told: Collection[str] | None) -> Collection[str]:
         if told is not None:
@@ -199,7 +204,7 @@ class FixedPlanController:
         """
         plan, bounds = self.plan, self.problem.bounds
         if not self._tracked.ended(t):
-            u = self._tracked.control(t, x, standing_feet)
+            u = self._tracked.waiting_control(t, x, standing_feet)
         else:
             u = self._holding(x, plan.us[-1]) if self._hold is None else self._hold.control(x)
         n = int(t / self.problem.dynamics.dt + TIME_TOLERANCE)

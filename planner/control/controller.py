@@ -380,7 +380,7 @@ class Controller(StateMachine):
         if self._tracked.ended(t):
             self.hold(t, "the plan has ended")
         holds = self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED)
-        u = self._holding(x, self._tracked.us[-1]) if holds else self._tracked.control(t, x)
+        u = self._holding(x, self._tracked.us[-1]) if holds else self._tracked.waiting_control(t, x)
         self._acting = self._clipped(t, u)
         return self._acting.copy()
 

@@ -13,7 +13,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
@@ -50,6 +50,27 @@ def _worker() -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_worker.cache_clear)  # a forked process has no thread of its parent's
+
+
+def _submitted(part: Callable[[int, int], None], first: int, end: int) -> Future[None] | None:
+    """A part in the other thread; None where the interpreter ends and begins no thread."""
+    try:
+        return _worker().submit(part, first, end)
+    except RuntimeError:
+        return None
+
+
+def _finished(other: Future[None]) -> None:
+    """Wait for a part, after Ctrl-C too: its memory is used again."""
+    interrupted = False
+    while not other.done():
+        try:
+            other.exception()
+        except KeyboardInterrupt:
+            interrupted = True
+    if interrupted:
+        raise KeyboardInterrupt
+    other.result()
 
 
 class Trials:
@@ -92,8 +113,8 @@ class SolveMemory(TreeMemory):
         if self._other is None:
             model, integrator, sizes = self._made
             self._other = TreeMemory(model, integrator, 0, **sizes)
-            kept = self._arrays["accelerations"][first * int(self.table[MEMORY.kept]) :]
-            self._other.table[MEMORY.accelerations] = kept.ctypes.data
+        kept = self._arrays["accelerations"][first * int(self.table[MEMORY.kept]) :]
+        self._other.table[MEMORY.accelerations] = kept.ctypes.data
         return self._other.table
 
     def in_halves(self, kind: str, part: Callable[[int, int], None], N: int) -> None:
@@ -105,12 +126,12 @@ class SolveMemory(TreeMemory):
         middle = N // 2 + -(N // 2) % WIDTH
         two = 0 < middle < N and getattr(_solving, "allowed", False) and trials.two_are_faster()
         began = time.perf_counter()
-        if two:
-            other = _worker().submit(part, middle, N)
+        other = _submitted(part, middle, N) if two else None
+        if other is None:
+            part(0, N)
+        else:
             try:
                 part(0, middle)
             finally:
-                other.result()  # Ctrl-C does not leave it at work
-        else:
-            part(0, N)
+                _finished(other)
         trials.add(two, time.perf_counter() - began)

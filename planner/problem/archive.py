@@ -140,9 +140,11 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
     written = meta.pop("digests")
     content = {name: part for name, part in meta.items() if name != "format_version"}
     meta["changed"] = changed(arrays, content, written)
-    if not _touch_downs(meta.setdefault("touch_downs", [])):  # earlier files of this format have none
-        raise FileError(f"{named} is damaged: its meta has no usable 'touch_downs'.")
     meta["space"] = _check_arrays(named, arrays, columns, meta["space"], meta["files"])
+    if not _touch_downs(
+        meta.setdefault("touch_downs", []), len(arrays["us"])
+    ):  # earlier files of this format have none
+        raise FileError(f"{named} is damaged: its meta has no usable 'touch_downs'.")
     if meta["mjcf"] is not None:
         contents = {name: arrays[FILE + digest].tobytes() for name, digest in meta["files"].items()}
         twin = meta["twin"] or {}
@@ -168,12 +170,13 @@ def _starts(rows: list[Any]) -> bool:
     return all(whole) and all(all(map(_is, row, _START)) for row in rows)
 
 
-def _touch_downs(rows: Any) -> bool:
+def _touch_downs(rows: Any, N: int) -> bool:
     stages = ("stage", "earliest", "latest")
     whole = isinstance(rows, list) and all(isinstance(row, dict) and {*row} == {*stages, "feet"} for row in rows)
     return whole and all(
         all(_is(row[name], (int,)) for name in stages)
-        and isinstance(row["feet"], list) and all(isinstance(foot, str) for foot in row["feet"])
+        and 0 <= row["earliest"] <= row["stage"] <= row["latest"] and row["stage"] < N
+        and isinstance(row["feet"], list) and row["feet"] and all(isinstance(foot, str) for foot in row["feet"])
         for row in rows
     )  # fmt: skip
 

@@ -3,29 +3,35 @@
 A foot lands early or late where the ground is not as high as planned. Gains of the wrong phase then act on it, so the
 stage n of u = us[n] + K[n] (x - x_ref) is not the clock's around a touch-down that is planned for the stage n_e:
 
-    early   from the first instant at which its feet bear load, n = n_e until the clock is there
+    early   from when all its feet bear load, n = n_e until the clock is there
     late    from when the clock is there, n = n_e until a foot bears load, at most WINDOW
 
 with x_ref = xs[n_e] moved on, or back, at its own velocity until now: the reference goes on smoothly before and after
 an impact at another time (reference spreading: Rijnen, Saccon, Nijmeijer, 2015). The stage never goes back, and far
 from touch-downs it is the clock's.
+
+A touch-down is of a limb that was in the air and then stands for a while. A shank that rubs beside its foot is none,
+nor is a foot that bounces.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.dynamics.contacts import contact_forces
+from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.capabilities import capabilities_of, roots
 from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
 
 BEARS = 0.02  # of the weight of the machine: a foot under less does not stand, as foot switches are set
 WINDOW = 0.04  # s, longest wait, and earliest touch-down
-TOGETHER = 0.03  # s: feet that land within it, as those of a trot, are one touch-down; a foot back by then bounces
+BRIEF = 0.03  # s: a foot in the air for less bounces, one that stands for less brushes the ground
+TOGETHER = 0.03  # s: feet that land within it, as those of a trot, are one touch-down
 _ROUNDING = 1e-6  # of a stage
 
 
@@ -48,36 +54,58 @@ class TouchDown(NamedTuple):
 
 
 def touch_downs_of(dynamics: Any, xs: np.ndarray) -> tuple[TouchDown, ...]:
-    """The touch-downs of a motion xs (N+1, nx); none for dynamics without feet on planes, or with unnamed bodies."""
+    """The touch-downs of a motion xs (N+1, nx); none for dynamics without feet of standing()."""
     mechanism = capabilities_of(dynamics).mechanism
     if mechanism is None or not mechanism.contacts or not np.isfinite(xs).all():
         return ()
-    window, together = (max(round(seconds / dynamics.dt), 1) for seconds in (WINDOW, TOGETHER))
-    found = []
-    for name, bears in standing(mechanism, xs).items():
-        for n in np.flatnonzero(bears[1:-1] & ~bears[:-2]) + 1:
-            before = np.flatnonzero(bears[:n])
+    window, brief, together = (max(round(seconds / dynamics.dt), 1) for seconds in (WINDOW, BRIEF, TOGETHER))
+    found, loads = [], _loads(mechanism, xs)
+    for link, bears in loads.items():
+        own = chain_of(mechanism.parent, link)
+        limb = np.logical_or.reduce(
+            [other for k, other in loads.items() if k in own or link in chain_of(mechanism.parent, k)]
+        )
+        limb = _without_brief(_without_brief(limb, False, brief), True, brief)
+        for n in np.flatnonzero(limb[1:-1] & ~limb[:-2] & bears[1:-1]) + 1:
+            before, after = np.flatnonzero(limb[:n]), np.flatnonzero(~limb[n:])
             airborne = n if not len(before) else n - 1 - before[-1]  # stages
-            if airborne >= together:
-                earliest = n - min(window, (airborne + 1) // 2)
-                found.append(TouchDown(int(n), (name,), int(earliest), int(n + window)))
+            stands = after[0] if len(after) else len(xs)
+            earliest, latest = n - min(window, (airborne + 1) // 2), n + min(window, (stands + 1) // 2)
+            found.append(TouchDown(int(n), (mechanism.body_of(link),), int(earliest), int(latest)))
     return _joined(sorted(found), together)
 
 
+def _without_brief(signal: np.ndarray, value: bool, brief: int) -> np.ndarray:
+    """A signal (N,) bool without runs of a value that are shorter than `brief`, but at its ends."""
+    edges = np.flatnonzero(np.diff(signal)) + 1
+    result = signal.copy()
+    for first, end in pairwise(edges.tolist()):
+        if signal[first] == value and end - first < brief:
+            result[first:end] = not value
+    return result
+
+
 def standing(mechanism: Mechanism, xs: np.ndarray) -> dict[str, np.ndarray]:
-    """Whether each foot bears load at states xs (N, nx), (N,) bool by the name of its body."""
+    """Whether each foot bears load at states xs (N, nx), (N,) bool by the name of its body.
+
+    Feet are bodies that have a name, of machines with actuators, where they meet planes that do not move.
+    """
+    return {mechanism.body_of(link): bears for link, bears in _loads(mechanism, xs).items()}
+
+
+def _loads(mechanism: Mechanism, xs: np.ndarray) -> dict[int, np.ndarray]:
+    """The same by the link of the foot."""
     forces = contact_forces(mechanism, xs[:, : mechanism.nq], xs[:, mechanism.velocities]).forces
     root, driven = roots(mechanism), mechanism.directly_actuated
-    found: dict[str, np.ndarray] = {}
-    for link in dict.fromkeys(one.link for one in mechanism.contacts):
-        name, tree = mechanism.body_of(link), root == root[link]
-        if not name or not driven[tree].any():
-            continue
-        own = [k for k, one in enumerate(mechanism.contacts) if one.link == link]
-        pressed = sum(forces[:, k] @ mechanism.contacts[k].plane.normal for k in own)
-        weight = float(mechanism.mass[tree].sum() * np.linalg.norm(mechanism.gravity))
-        found[name] = pressed > BEARS * weight
-    return found
+    found: dict[int, np.ndarray] = {}
+    for k, one in enumerate(mechanism.contacts):
+        tree = root == root[one.link]
+        belt = one.plane.slide >= 0 or np.any(one.plane.velocity)
+        if mechanism.body_of(one.link) and driven[tree].any() and not belt:
+            found[one.link] = found.get(one.link, 0.0) + forces[:, k] @ one.plane.normal
+    gravity = float(np.linalg.norm(mechanism.gravity))
+    weights = {link: gravity * float(mechanism.mass[root == root[link]].sum()) for link in found}
+    return {link: pressed > BEARS * weights[link] for link, pressed in found.items()}
 
 
 def _joined(single: Sequence[TouchDown], together: int) -> tuple[TouchDown, ...]:
@@ -125,9 +153,9 @@ def reference(dynamics: Any, x: np.ndarray, seconds: float) -> np.ndarray:
     """A state (nx,) moved on by so many seconds at its own velocity."""
     space, mechanism = space_of(dynamics), capabilities_of(dynamics).mechanism
     assert mechanism is not None  # it has touch-downs
-    moves = np.zeros(space.ndx)
-    moves[: mechanism.nv] = seconds * x[mechanism.velocities]
-    return space.integrate(x, moves)
+    displacement = np.zeros(space.ndx)
+    displacement[: mechanism.nv] = seconds * x[mechanism.velocities]
+    return space.integrate(x, displacement)
 
 
 def feet_of(touch_downs: Sequence[TouchDown]) -> tuple[str, ...]:

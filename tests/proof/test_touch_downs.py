@@ -11,6 +11,7 @@ from places import ROOT
 
 import planner
 from planner.base.gl import load_mujoco
+from planner.control.control_laws import TrackedPlan
 from planner.problem.archive import FORMAT_VERSION
 from planner.problem.plan import Status
 from planner.problem.touch_downs import BEARS, StageRule, TouchDown, reference, standing, touch_downs_of
@@ -202,6 +203,7 @@ def test_a_plan_alone_takes_what_switches_tell(dropped):
     x_ref = reference(dynamics, dropped.xs[landing.stage], -3.0 * DT)
     early = dropped.us[landing.stage] + K @ dynamics.space.single_difference(x, x_ref)
     controller.reset()
+    controller(t - DT, x, standing_feet=())
     np.testing.assert_allclose(controller(t, x, standing_feet=FEET), early, atol=1e-12)
     controller.reset()
     np.testing.assert_allclose(controller(t, x, standing_feet=()), by_clock, atol=1e-12)
@@ -230,3 +232,41 @@ def test_the_table_says_which_feet_stand(dropped, tmp_path):
         assert column[LANDS + 2] == 1.0
     dropped.to_csv(tmp_path / "controls.csv", only="controls")
     assert "stands" not in (tmp_path / "controls.csv").read_text()
+
+
+def test_limbs_land_and_neither_shanks_nor_bounces():
+    """A leg of a shank and a foot, each of a sphere: the shank rubs while its foot stands, and the foot bounces."""
+    text = """<mujoco><option gravity="0 0 -10"/><worldbody><geom name="floor" type="plane" size="1 1 1"/>
+      <body name="shank" pos="0 0 0.5"><joint name="up" type="slide" axis="0 0 1"/>
+        <geom size=".1" mass="1" pos="1 0 0"/><body name="foot"><joint name="lift" type="slide" axis="0 0 1"/>
+          <geom size=".1" mass="1"/></body></body></worldbody>
+      <actuator><motor joint="up"/><motor joint="lift"/></actuator></mujoco>"""
+    mechanism = planner.Mechanism.from_mjcf(text, contacts="file")
+    dynamics = planner.RigidBodyDynamics(mechanism, dt=0.01)
+    down, up = 0.09, 0.2  # m, heights of a sphere's centre
+    shank, foot = np.full(61, up), np.full(61, up)
+    foot[:10], foot[25:27], foot[40:] = down, down, down  # stands, brushes the ground for 0.02 s, lands
+    shank[50:56] = down
+    xs = np.column_stack([shank - 0.5, foot - shank, np.zeros((61, 2))])
+    (only,) = touch_downs_of(dynamics, xs)
+    assert (only.stage, only.feet) == (40, ("foot",))
+    foot[45:47] = up  # it bounces: back in 0.02 s
+    xs[:, 1] = foot - shank
+    assert touch_downs_of(dynamics, xs) == (only,)
+    foot[45:55] = up  # it leaves the ground, beside the shank, which stands
+    shank[44:] = down
+    xs[:, 0], xs[:, 1] = shank - 0.5, foot - shank
+    assert touch_downs_of(dynamics, xs) == (only,)
+
+
+def test_a_controllers_look_ahead_does_not_wait_for_the_machines_feet(dropped):
+    """A plan that begins later begins where the feedback leads: a prediction, of which switches know nothing."""
+    (landing,) = dropped.touch_downs
+    tracked = TrackedPlan(dropped.problem.dynamics, (dropped.xs, dropped.us, dropped.K), 0.0)
+    n = landing.stage
+    for stage in range(n - 5, n + 3):
+        tracked.control(DT * stage, dropped.xs[stage])
+    late = tracked.waiting_control(DT * (n + 1), dropped.xs[n + 1], standing_feet=())
+    x_ref = reference(dropped.problem.dynamics, dropped.xs[n], DT)
+    expected = dropped.us[n] + dropped.K[n] @ dropped.space.single_difference(dropped.xs[n + 1], x_ref)
+    np.testing.assert_allclose(late, expected, atol=1e-12)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -15,23 +15,30 @@ from planner.proof.replays.simulation import set_state
 class FootLoads:
     """The feet of some names in a MuJoCo model, and in others with the same bodies."""
 
-    def __init__(self, model: Any, feet: Iterable[str]) -> None:
-        self._links = _links(model)
+    def __init__(self, model: Any, feet: Collection[str]) -> None:
+        self._feet: dict[str, int] = {}  # by name the last degree of freedom that moves it
+        if not feet:
+            return
+        self._links, roots = _links(model), np.arange(model.nv)
+        for dof, parent in enumerate(model.dof_parentid):
+            roots[dof] = roots[parent] if parent >= 0 else dof
         bodies = {str(model.body(k).name): k for k in range(model.nbody)}
-        self._feet = {name: int(self._links[bodies[name]]) for name in feet if name in bodies}
+        self._feet = {name: link for name in feet if name in bodies and (link := int(self._links[bodies[name]])) >= 0}
+        tree_of = np.append(roots, -1)[self._links]  # (nbody,) the root of each body's tree
+        self._trees = {name: tree_of == roots[link] for name, link in self._feet.items()}
         self._wrench = np.zeros(6)
 
-    def known(self, feet: Iterable[str]) -> bool:
+    def known(self, feet: Collection[str]) -> bool:
         """Whether the model has all of these."""
         return all(name in self._feet for name in feet)
 
-    def sensed(self, model: Any, data: Any, w: np.ndarray, ctrl: np.ndarray) -> Callable[[str], bool]:
+    def sensed(self, model: Any, data: Any, w: np.ndarray, ctrl: Callable[[], np.ndarray]) -> Callable[[str], bool]:
         """Whether a foot bears load, by its name; arguments as of at(), which the first question calls."""
         found: list[frozenset[str]] = []
 
         def bears(foot: str) -> bool:
             if not found:
-                found.append(self.at(model, data, w, ctrl))
+                found.append(self.at(model, data, w, ctrl()))
             return foot in found[0]
 
         return bears
@@ -50,11 +57,10 @@ class FootLoads:
             if min(links) < 0 <= max(links):
                 mujoco.mj_contactForce(model, data, k, self._wrench)
                 forces[max(links)] += self._wrench[0]
-        gravity = float(np.linalg.norm(model.opt.gravity))
+        least = BEARS * float(np.linalg.norm(model.opt.gravity))
         return frozenset(
-            name for name, link in self._feet.items()
-            if forces[link] > BEARS * gravity * model.body_subtreemass[model.body_rootid[model.dof_bodyid[link]]]
-        )  # fmt: skip
+            name for name, link in self._feet.items() if forces[link] > least * model.body_mass[self._trees[name]].sum()
+        )
 
 
 def _links(model: Any) -> np.ndarray:

@@ -110,7 +110,7 @@ class Gains:
 
     def __call__(self, i: int, w: np.ndarray) -> np.ndarray:
         """The controls (held, nu) from step i on, whose state is w (nw,)."""
-        bears = self._loads.sensed(self._model, self._data, w, self._compiled.commands(self._u))
+        bears = self._loads.sensed(self._model, self._data, w, lambda: self._compiled.commands(self._u))
         waits = self._rule(i / self._substeps, bears)
         x = self._twin.x_of(w if self._encoders is None else self._encoders(w))
         stages, x_ref = self._stage[i : i + self.held], self._plan_xs[i]

@@ -1,8 +1,9 @@
 """The rollouts of a Monte Carlo: their order, their batches here or on an executor, and a file of finished ones.
 
     1  with gains, until the success rate is decided (planner.proof.robustness.success)
-    2  open loop, the same machines; with gains by the clock alone, if the plan's stage waits for touch-downs
+    2  open loop, the same machines
     3  the mass margins, by bisection over the levels
+    4  with gains by the clock alone, where the plan's stage waits for touch-downs
 
 So the word about robustness is known first. Finished rollouts are stored, and not run again after an interruption.
 """
@@ -58,15 +59,16 @@ class MonteCarlo:
     def run(self) -> None:
         """Run the missing rollouts; OutOfTime after the deadline."""
         margins = len(MODES) * _MAX_LEVELS * self.per_level
+        by_clock = min(self.asked, _BY_CLOCK) if self.simulator.plan.touch_downs else 0
+        margins += by_clock
         while (look := next_look(known := self._succeeded("cases", "feedback"), self.asked)) is not None:
             look = max(look, min(len(known) + self._batches.together, self.asked))  # those beyond a look may not count
             self._extend("cases", "feedback", look, self._case, to_come=2 * self.asked - look + margins)
         self._extend("cases", "open-loop", self.done, self._case, to_come=margins)
-        if self.simulator.plan.touch_downs:
-            self._extend("cases", CLOCK, min(self.done, _BY_CLOCK), self._case, to_come=margins)
         for mode in MODES[::-1]:
             margins -= _MAX_LEVELS * self.per_level
             self.margin[mode] = self._margin(mode, margins)
+        self._extend("cases", CLOCK, min(self.done, by_clock), self._case, to_come=0)
         if self._progress is not None and self._finished < self._total:  # bisections took fewer than expected
             self._progress(self._finished, self._finished)
 
@@ -211,7 +213,7 @@ def _run(
     return simulator.run(simulator.batch(draws), mode, time.monotonic() + ends - time.time())
 
 
-_FORMAT = "perturbed 2"
+_FORMAT = "perturbed 3"
 
 
 def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> str:
@@ -220,6 +222,7 @@ def fingerprint(rollouts: Rollouts, perturbation: Perturbation, seed: int) -> st
     assert problem is not None  # checked by Rollouts
     version = load_mujoco().__version__
     words = (_FORMAT, version, twin.mjcf, sorted(twin.assets), perturbation, seed, rollouts.step, rollouts.integrator)
+    words = (*words, plan.touch_downs)
     digest = hashlib.sha256(repr(words).encode())
     maps = (twin.to_x, twin.to_x_offset, twin.to_sim, twin.to_sim_offset)
     for array in (plan.t, plan.xs, plan.us, plan.K, problem.x0, *maps):

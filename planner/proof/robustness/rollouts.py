@@ -282,7 +282,7 @@ class _Feedback:
         for k, (rule, model) in enumerate(zip(self._rules, self._models, strict=True)):
             if not np.isfinite(w[k]).all():
                 continue
-            bears = self._loads.sensed(model, rollouts.sensing, w[k], self._applied[k])
+            bears = self._loads.sensed(model, rollouts.sensing, w[k], self._applied[k].copy)
             if (one := rule(j / rollouts.control_steps, bears)) is not None:
                 waiting.setdefault(one, []).append(k)
         for one, rows in waiting.items():
