@@ -100,10 +100,11 @@ class SolveMemory(TreeMemory):
     Arguments as of TreeMemory.
     """
 
-    def __init__(self, model: Any, integrator: Integrator, N: int, **sizes: int) -> None:
-        super().__init__(model, integrator, N, **sizes)
-        self._made: Any = model, integrator, sizes
-        self._other: TreeMemory | None = None  # of the second half; allocated where it is tried
+    def __init__(self, model: Any, integrator: Integrator, N: int, substeps: int = 1, appended: int = 0) -> None:
+        super().__init__(model, integrator, N, substeps=substeps, appended=appended)
+        # Of the second half; made where it is tried.
+        self._make_other = lambda: TreeMemory(model, integrator, 0, substeps=substeps, appended=appended)
+        self._other: TreeMemory | None = None
         self._trials: dict[str, Trials] = {}
 
     def table_of(self, first: int) -> np.ndarray:
@@ -111,8 +112,7 @@ class SolveMemory(TreeMemory):
         if first == 0:
             return self.table
         if self._other is None:
-            model, integrator, sizes = self._made
-            self._other = TreeMemory(model, integrator, 0, **sizes)
+            self._other = self._make_other()
         kept = self._arrays["accelerations"][first * int(self.table[MEMORY.kept]) :]
         self._other.table[MEMORY.accelerations] = kept.ctypes.data
         return self._other.table

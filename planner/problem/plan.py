@@ -183,9 +183,13 @@ class Plan(Built, Plottable):
             return space_of(self.problem.dynamics)
         return euclidean(self.xs.shape[1]) if self.stored_space is None else self.stored_space
 
-    @cached_property
+    @property
     def touch_downs(self) -> tuple[TouchDown, ...]:
         """When feet begin to bear load, for which the gains wait (problem.touch_downs); without problem its file's."""
+        return self._touch_downs
+
+    @cached_property
+    def _touch_downs(self) -> tuple[TouchDown, ...]:
         return self.stored_touch_downs if self.problem is None else touch_downs_of(self.problem.dynamics, self.xs)
 
     @property

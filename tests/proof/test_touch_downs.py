@@ -171,7 +171,7 @@ def test_a_replay_with_gains_waits(dropped):
 def without_touch_downs(plan):
     """The same plan, whose stage is the clock's."""
     other = replace(plan)
-    other.__dict__["touch_downs"] = ()
+    other.__dict__["_touch_downs"] = ()
     return other
 
 

@@ -35,8 +35,8 @@ import numpy as np
 from planner.base.arguments import array, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.second_thread import SolveMemory
 from planner.kernels.lq.workspace import Workspace
-from planner.kernels.tree.memory import TreeMemory
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.model_index import compile_model
 from planner.model.mjcf.prescribed_joints import heavy_joints, in_order, prescribe_joints, twin_of
@@ -123,18 +123,18 @@ class JerkDynamics:
             part[:, self._rates] = part[:, self._accelerations] / self.dt
         by_x[:, self._rates.start + k, self._accelerations.start + k] -= 1.0 / self.dt
 
-    def memory(self, N: int) -> TreeMemory:
+    def memory(self, N: int) -> SolveMemory:
         """Scratch memory of a solve of N stages."""
         return self.own.memory(N, appended=2 * self.mechanism.nv)
 
-    def linearize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
+    def linearize_nominal(self, w: Workspace, memory: SolveMemory) -> None:
         """Fill w.F along w.xs, w.us."""
         own, by_x = self.own, slice(w.first, w.first + self.ndx)
         B, A = own.linearize_dense(np.ascontiguousarray(w.xs[:, : own.nx]), w.us, memory)
         w.F[:, : own.ndx, : self.nu], w.F[:, : own.ndx, by_x][:, :, : own.ndx] = B, A
         self._append_rows(w.F[:, :, : self.nu], w.F[:, :, by_x])
 
-    def stage_ends(self, w: Workspace, memory: TreeMemory) -> np.ndarray:
+    def stage_ends(self, w: Workspace, memory: SolveMemory) -> np.ndarray:
         """The states (N, nx) after one stage from each of w.xs, w.us; prepares linearize_nominal."""
         ends = self.own.stage_ends(w, memory)[:, : self.own.nx]
         return self._appended(w.xs[:-1], ends, ends)
