@@ -28,7 +28,7 @@ _CAUSES = (
     penalize_velocity, within_limits, without_ignored, more_iterations, shorter_stage, calmer_gains, wider_margin,
     larger_weights, other_guesses, falling, not_a_minimum, soft_equalities,
 )  # fmt: skip
-_OF_CYCLES = (avoid_contact, fixed_joints, within_limits, more_iterations, shorter_stage, failing_cycle)
+_OF_CYCLES = (avoid_contact, fixed_joints, within_limits, more_iterations, failing_cycle)
 
 
 def suggested_fixes(plan: Plan, proof: Proof | None = None) -> tuple[SuggestedFix, ...]:
