@@ -21,12 +21,16 @@ variance 1 that lasts for PERSISTENCE. The expected cost-to-go of the next stage
 
 P of the LQ problem without noise. With P of the one with it, by fixed-point iteration, the gains differ little. The
 plan's states and controls are those of the plan's own law; the gains alone change.
+
+In the stage in which a foot lands the LQ problem knows to the millisecond when: its gains there are up to a hundred
+times those before and after, and throw a machine whose foot lands a little earlier or later. So they go over from the
+stage before to the one after in a straight line (problem.touch_downs).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -43,6 +47,7 @@ from planner.problem.costs.terms import Quadratic
 from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.problem.touch_downs import TouchDown, touch_downs_of
 from planner.solvers import lq
 
 PERSISTENCE = 0.1  # s; with 0.05 to 0.2 bipeds on floors 5 mm too high or low end alike, with 0.025 up to a third fall
@@ -134,7 +139,18 @@ def robust_gains(
     R += dB_T @ P @ dB
     S += dB_T @ P_dA
     sweep = lq.riccati(A, B, quadratic._replace(Q=Q, R=R, S=S), bounds=constant)
-    return None if sweep is None else sweep.K
+    return None if sweep is None else across_landings(sweep.K, touch_downs_of(problem.dynamics, xs))
+
+
+def across_landings(K: np.ndarray, touch_downs: Sequence[TouchDown]) -> np.ndarray:
+    """Gains (N, nu, ndx) that go over from those before each landing to those after it, in a straight line."""
+    result = K.copy()
+    for one in touch_downs:
+        before, after = max(one.stage - 2, 0), min(one.stage + 1, len(K) - 1)
+        for n in range(before + 1, after):
+            share = (n - before) / (after - before)
+            result[n] = (1.0 - share) * K[before] + share * K[after]
+    return result
 
 
 def _on_softer_ground(dynamics: Any) -> RigidBodyDynamics:

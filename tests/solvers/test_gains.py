@@ -8,12 +8,13 @@ import pytest
 
 import planner
 from planner.model.contact.laws import ContactLaw
+from planner.problem.touch_downs import TouchDown
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.rollouts import Rollouts
 from planner.proof.robustness.success import rule_of
 from planner.solvers import lq
-from planner.solvers.gains import PERSISTENCE, has_uncertain_ground, robust_gains, with_robust_gains
+from planner.solvers.gains import PERSISTENCE, across_landings, has_uncertain_ground, robust_gains, with_robust_gains
 
 STEP = Path(__file__).parents[2] / "benchmarks" / "moving" / "biped-step.toml"
 LEG = """<mujoco><option timestep="0.001"/><worldbody><geom name="floor" type="plane" size="0 0 1"/>
@@ -134,3 +135,17 @@ def test_a_biped_shifts_its_weight_on_floors_that_lie_higher_or_lower():
         draws = [draw(floors, 0, k, simulator.nominal.sizes) for k in range(16)]
         ends = simulator.run(simulator.batch(draws), "feedback")[:, -1]
     assert rule.succeeded(ends).all()
+
+
+def test_gains_go_over_from_before_a_landing_to_after_it():
+    K = np.random.default_rng(0).normal(size=(20, 2, 4))
+    landings = [TouchDown(stage, ("foot",), stage - 2, stage + 2) for stage in (1, 8, 19)]
+    smooth = across_landings(K, landings)
+    for n in range(20):
+        if n not in (1, 7, 8, 18):
+            np.testing.assert_array_equal(smooth[n], K[n])
+    np.testing.assert_allclose(smooth[7], (2.0 * K[6] + K[9]) / 3.0)
+    np.testing.assert_allclose(smooth[8], (K[6] + 2.0 * K[9]) / 3.0)
+    np.testing.assert_allclose(smooth[1], 0.5 * (K[0] + K[2]))  # a foot that lands in the first stage
+    np.testing.assert_allclose(smooth[18], 0.5 * (K[17] + K[19]))  # and in the last one
+    np.testing.assert_array_equal(across_landings(K, ()), K)
