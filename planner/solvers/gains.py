@@ -23,8 +23,8 @@ P of the LQ problem without noise. With P of the one with it, by fixed-point ite
 plan's states and controls are those of the plan's own law; the gains alone change.
 
 In the stage in which a foot lands the LQ problem knows to the millisecond when: its gains there are up to a hundred
-times those before and after, and throw a machine whose foot lands a little earlier or later. So they go over from the
-stage before to the one after in a straight line (problem.touch_downs).
+times those before and after, and throw a machine whose foot lands a little earlier or later. So they are the mean of
+these (problem.touch_downs).
 """
 
 from __future__ import annotations
@@ -143,13 +143,11 @@ def robust_gains(
 
 
 def across_landings(K: np.ndarray, touch_downs: Sequence[TouchDown]) -> np.ndarray:
-    """Gains (N, nu, ndx) that go over from those before each landing to those after it, in a straight line."""
+    """Gains (N, nu, ndx) that are the mean of those before and after in each stage in which a foot lands."""
     result = K.copy()
     for one in touch_downs:
-        before, after = max(one.stage - 2, 0), min(one.stage + 1, len(K) - 1)
-        for n in range(before + 1, after):
-            share = (n - before) / (after - before)
-            result[n] = (1.0 - share) * K[before] + share * K[after]
+        if one.stage > 1:
+            result[one.stage - 1] = 0.5 * (K[one.stage - 2] + K[one.stage])
     return result
 
 
