@@ -81,7 +81,14 @@ class TrackedPlan:
         n, part = self._stages(t)
         if n == 0 or n >= len(self.us):  # a plan that is made again each stage has nothing to wait for
             return self.control(t, x)
-        waits = self._rule(n + part, lambda foot: foot in self._standing(x, standing_feet))
+        found: list[Collection[str]] = []
+
+        def bears(foot: str) -> bool:
+            if not found:
+                found.append(self._standing(x, standing_feet))
+            return foot in found[0]
+
+        waits = self._rule(n + part, bears)
         if waits is None:
             return self.control(t, x)
         x_ref = reference(self._dynamics, self.xs[waits.stage], self._dt * (n + part - waits.stage))

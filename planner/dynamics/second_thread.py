@@ -57,15 +57,17 @@ def _submitted(part: Callable[[int, int], None], first: int, end: int) -> Future
     try:
         return _worker().submit(part, first, end)
     except RuntimeError:
+        _worker.cache_clear()  # what it has queued must not run later
         return None
 
 
 def _finished(other: Future[None]) -> None:
     """Wait for a part, after Ctrl-C too: its memory is used again."""
     interrupted = False
-    while not other.done():
+    while True:
         try:
             other.exception()
+            break
         except KeyboardInterrupt:
             interrupted = True
     if interrupted:

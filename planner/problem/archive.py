@@ -141,9 +141,8 @@ def read_archive(path: Path, columns: int) -> tuple[dict[str, np.ndarray], dict[
     content = {name: part for name, part in meta.items() if name != "format_version"}
     meta["changed"] = changed(arrays, content, written)
     meta["space"] = _check_arrays(named, arrays, columns, meta["space"], meta["files"])
-    if not _touch_downs(
-        meta.setdefault("touch_downs", []), len(arrays["us"])
-    ):  # earlier files of this format have none
+    meta.setdefault("touch_downs", [])  # which earlier files of this format lack
+    if not _touch_downs(meta["touch_downs"], len(arrays["us"])):
         raise FileError(f"{named} is damaged: its meta has no usable 'touch_downs'.")
     if meta["mjcf"] is not None:
         contents = {name: arrays[FILE + digest].tobytes() for name, digest in meta["files"].items()}
@@ -173,12 +172,15 @@ def _starts(rows: list[Any]) -> bool:
 def _touch_downs(rows: Any, N: int) -> bool:
     stages = ("stage", "earliest", "latest")
     whole = isinstance(rows, list) and all(isinstance(row, dict) and {*row} == {*stages, "feet"} for row in rows)
-    return whole and all(
+    if not whole:
+        return False
+    found = all(
         all(_is(row[name], (int,)) for name in stages)
         and 0 <= row["earliest"] <= row["stage"] <= row["latest"] and row["stage"] < N
         and isinstance(row["feet"], list) and row["feet"] and all(isinstance(foot, str) for foot in row["feet"])
         for row in rows
     )  # fmt: skip
+    return found and [row["stage"] for row in rows] == sorted(row["stage"] for row in rows)
 
 
 _INSIDE = {"versions": _texts, "files": _texts, "recipe": _recipe, "starts": _starts}  # checks of the contents

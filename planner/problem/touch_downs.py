@@ -55,10 +55,15 @@ class TouchDown(NamedTuple):
 
 def touch_downs_of(dynamics: Any, xs: np.ndarray) -> tuple[TouchDown, ...]:
     """The touch-downs of a motion xs (N+1, nx); none for dynamics without feet of standing()."""
+    return _joined(landings(dynamics, xs), max(round(TOGETHER / dynamics.dt), 1))
+
+
+def landings(dynamics: Any, xs: np.ndarray) -> list[TouchDown]:
+    """The same, each of one foot."""
     mechanism = capabilities_of(dynamics).mechanism
     if mechanism is None or not mechanism.contacts or not np.isfinite(xs).all():
-        return ()
-    window, brief, together = (max(round(seconds / dynamics.dt), 1) for seconds in (WINDOW, BRIEF, TOGETHER))
+        return []
+    window, brief = (max(round(seconds / dynamics.dt), 1) for seconds in (WINDOW, BRIEF))
     found, loads = [], _loads(mechanism, xs)
     for link, bears in loads.items():
         own = chain_of(mechanism.parent, link)
@@ -72,7 +77,7 @@ def touch_downs_of(dynamics: Any, xs: np.ndarray) -> tuple[TouchDown, ...]:
             stands = after[0] if len(after) else len(xs)
             earliest, latest = n - min(window, (airborne + 1) // 2), n + min(window, (stands + 1) // 2)
             found.append(TouchDown(int(n), (mechanism.body_of(link),), int(earliest), int(latest)))
-    return _joined(sorted(found), together)
+    return sorted(found)
 
 
 def _without_brief(signal: np.ndarray, value: bool, brief: int) -> np.ndarray:
@@ -88,7 +93,7 @@ def _without_brief(signal: np.ndarray, value: bool, brief: int) -> np.ndarray:
 def standing(mechanism: Mechanism, xs: np.ndarray) -> dict[str, np.ndarray]:
     """Whether each foot bears load at states xs (N, nx), (N,) bool by the name of its body.
 
-    Feet are bodies that have a name, of machines with actuators, where they meet planes that do not move.
+    Feet are bodies of machines with actuators, where they meet planes that do not move.
     """
     return {mechanism.body_of(link): bears for link, bears in _loads(mechanism, xs).items()}
 

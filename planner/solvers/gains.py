@@ -23,14 +23,15 @@ P of the LQ problem without noise. With P of the one with it, by fixed-point ite
 plan's states and controls are those of the plan's own law; the gains alone change.
 
 In the stage in which a foot lands the LQ problem knows to the millisecond when: its gains there are up to a hundred
-times those before and after, and throw a machine whose foot lands a little earlier or later. So they are the mean of
-these (problem.touch_downs).
+times those before and after (a G1 that walks; 1 to 4 times for other machines), and throw a machine whose foot lands a
+little earlier or later. So they are the mean of these two (problem.touch_downs); where feet land in stages that follow
+each other, on a line between them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any
 
@@ -47,7 +48,7 @@ from planner.problem.costs.terms import Quadratic
 from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.touch_downs import TouchDown, touch_downs_of
+from planner.problem.touch_downs import landings
 from planner.solvers import lq
 
 PERSISTENCE = 0.1  # s; with 0.05 to 0.2 bipeds on floors 5 mm too high or low end alike, with 0.025 up to a third fall
@@ -139,15 +140,19 @@ def robust_gains(
     R += dB_T @ P @ dB
     S += dB_T @ P_dA
     sweep = lq.riccati(A, B, quadratic._replace(Q=Q, R=R, S=S), bounds=constant)
-    return None if sweep is None else across_landings(sweep.K, touch_downs_of(problem.dynamics, xs))
+    return None if sweep is None else across_landings(
+        sweep.K, [one.stage - 1 for one in landings(problem.dynamics, xs)]
+    )  # fmt: skip
 
 
-def across_landings(K: np.ndarray, touch_downs: Sequence[TouchDown]) -> np.ndarray:
-    """Gains (N, nu, ndx) that are the mean of those before and after in each stage in which a foot lands."""
+def across_landings(K: np.ndarray, stages: Collection[int]) -> np.ndarray:
+    """Gains (N, nu, ndx) that lie on a line between those before and after in the stages in which feet land."""
     result = K.copy()
-    for one in touch_downs:
-        if one.stage > 1:
-            result[one.stage - 1] = 0.5 * (K[one.stage - 2] + K[one.stage])
+    for first in (n for n in stages if n - 1 not in stages and n > 0):
+        end = next(n for n in range(first, len(K) + 1) if n not in stages)
+        if end < len(K):
+            shares = (np.arange(first, end) - (first - 1.0)) / (end - (first - 1.0))
+            result[first:end] = K[first - 1] + shares[:, None, None] * (K[end] - K[first - 1])
     return result
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.gl import load_mujoco
+from planner.model.mjcf.model_index import names_of
 from planner.problem.touch_downs import BEARS
 from planner.proof.replays.simulation import set_state
 
@@ -22,7 +23,8 @@ class FootLoads:
         self._links, roots = _links(model), np.arange(model.nv)
         for dof, parent in enumerate(model.dof_parentid):
             roots[dof] = roots[parent] if parent >= 0 else dof
-        bodies = {str(model.body(k).name): k for k in range(model.nbody)}
+        # As contact_edits names them in the twin's text; the user's own file has no names there.
+        bodies = {name or f"body number {k}": k for k, name in enumerate(names_of(model, "body", model.nbody))}
         self._feet = {name: link for name in feet if name in bodies and (link := int(self._links[bodies[name]])) >= 0}
         tree_of = np.append(roots, -1)[self._links]  # (nbody,) the root of each body's tree
         self._trees = {name: tree_of == roots[link] for name, link in self._feet.items()}

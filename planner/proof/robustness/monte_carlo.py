@@ -1,9 +1,8 @@
 """The rollouts of a Monte Carlo: their order, their batches here or on an executor, and a file of finished ones.
 
     1  with gains, until the success rate is decided (planner.proof.robustness.success)
-    2  open loop, the same machines
+    2  open loop, the same machines; some with gains by the clock alone, where the plan's stage waits for touch-downs
     3  the mass margins, by bisection over the levels
-    4  with gains by the clock alone, where the plan's stage waits for touch-downs
 
 So the word about robustness is known first. Finished rollouts are stored, and not run again after an interruption.
 """
@@ -36,7 +35,7 @@ ENOUGH = 0.95  # success rate required at a mass error within the margin
 LEVELS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)  # mass errors, relative
 _PER_LEVEL = 20  # smallest number of rollouts with a 95 % rate below all
 _QUICK = 5  # of these, first; all where fewer rollouts than the first look are requested
-_BY_CLOCK = 32  # largest number of rollouts by the clock, which are only shown
+_BY_CLOCK = 16  # largest number of rollouts by the clock, which are only shown
 _MAX_LEVELS = 4  # maximum number of bisection steps over nine levels
 
 
@@ -60,15 +59,14 @@ class MonteCarlo:
         """Run the missing rollouts; OutOfTime after the deadline."""
         margins = len(MODES) * _MAX_LEVELS * self.per_level
         by_clock = min(self.asked, _BY_CLOCK) if self.simulator.plan.touch_downs else 0
-        margins += by_clock
         while (look := next_look(known := self._succeeded("cases", "feedback"), self.asked)) is not None:
             look = max(look, min(len(known) + self._batches.together, self.asked))  # those beyond a look may not count
-            self._extend("cases", "feedback", look, self._case, to_come=2 * self.asked - look + margins)
-        self._extend("cases", "open-loop", self.done, self._case, to_come=margins)
+            self._extend("cases", "feedback", look, self._case, to_come=2 * self.asked - look + by_clock + margins)
+        self._extend("cases", "open-loop", self.done, self._case, to_come=by_clock + margins)
+        self._extend("cases", CLOCK, min(self.done, by_clock), self._case, to_come=margins)
         for mode in MODES[::-1]:
             margins -= _MAX_LEVELS * self.per_level
             self.margin[mode] = self._margin(mode, margins)
-        self._extend("cases", CLOCK, min(self.done, by_clock), self._case, to_come=0)
         if self._progress is not None and self._finished < self._total:  # bisections took fewer than expected
             self._progress(self._finished, self._finished)
 

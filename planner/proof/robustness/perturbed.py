@@ -113,6 +113,8 @@ class RobustnessResult:
         word = self.robustness
         lines += [f"robustness: {word}{'' if word == 'pending' else JUDGED}"] if self.done else []
         for mode, rate in self.rates.items() if self.done else ():
+            if mode == CLOCK and not rate.of:
+                continue
             worst = ", ".join(map(str, self.worst[mode]))
             how = _HOW[mode]
             found = f"{rate} succeed" if rate.of else "not simulated"
