@@ -170,13 +170,13 @@ def _starts(rows: list[Any]) -> bool:
 
 
 def _touch_downs(rows: Any, N: int) -> bool:
-    stages = ("stage", "earliest", "latest")
+    stages = ("stage", "earliest", "latest", "watched")
     whole = isinstance(rows, list) and all(isinstance(row, dict) and {*row} == {*stages, "feet"} for row in rows)
     if not whole:
         return False
     found = all(
         all(_is(row[name], (int,)) for name in stages)
-        and 0 <= row["earliest"] <= row["stage"] <= row["latest"] and row["stage"] < N
+        and 0 <= row["watched"] <= row["earliest"] <= row["stage"] <= row["latest"] and row["stage"] < N
         and isinstance(row["feet"], list) and row["feet"] and all(isinstance(foot, str) for foot in row["feet"])
         for row in rows
     )  # fmt: skip

@@ -3,7 +3,7 @@
 A foot lands early or late where the ground is not as high as planned. Gains of the wrong phase then act on it, so the
 stage n of u = us[n] + K[n] (x - x_ref) is not the clock's around a touch-down that is planned for the stage n_e:
 
-    early   from when all its feet bear load, n = n_e until the clock is there
+    early   from when all its feet, seen in the air before, bear load, n = n_e until the clock is there
     late    from when the clock is there, n = n_e until a foot bears load, at most WINDOW
 
 with x_ref = xs[n_e] moved on, or back, at its own velocity until now: the reference goes on smoothly before and after
@@ -42,6 +42,9 @@ class TouchDown(NamedTuple):
     feet: tuple[str, ...]  # names of bodies
     earliest: int  # stage from which they may
     latest: int  # stage until which they are waited for
+    watched: int = (
+        0  # stage from which they are seen in the air, the middle of their swing: a late lift-off lands not early
+    )
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values: the list touch_downs of a plan's file."""
@@ -50,7 +53,9 @@ class TouchDown(NamedTuple):
     @classmethod
     def from_dict(cls, table: dict[str, Any]) -> TouchDown:
         """Of such values."""
-        return cls(int(table["stage"]), tuple(table["feet"]), int(table["earliest"]), int(table["latest"]))
+        return cls(
+            int(table["stage"]), tuple(table["feet"]), *(int(table[name]) for name in ("earliest", "latest", "watched"))
+        )
 
 
 def touch_downs_of(dynamics: Any, xs: np.ndarray) -> tuple[TouchDown, ...]:
@@ -75,8 +80,9 @@ def landings(dynamics: Any, xs: np.ndarray) -> list[TouchDown]:
             before, after = np.flatnonzero(limb[:n]), np.flatnonzero(~limb[n:])
             airborne = n if not len(before) else n - 1 - before[-1]  # stages
             stands = after[0] if len(after) else len(xs)
-            earliest, latest = n - min(window, (airborne + 1) // 2), n + min(window, (stands + 1) // 2)
-            found.append(TouchDown(int(n), (mechanism.body_of(link),), int(earliest), int(latest)))
+            watched, latest = n - (airborne + 1) // 2, n + min(window, (stands + 1) // 2)
+            foot, earliest = mechanism.body_of(link), max(watched, n - window)
+            found.append(TouchDown(int(n), (foot,), int(earliest), int(latest), int(watched)))
     return sorted(found)
 
 
@@ -119,7 +125,8 @@ def _joined(single: Sequence[TouchDown], together: int) -> tuple[TouchDown, ...]
     for one in single:
         last = joined[-1] if joined else None
         if last is not None and one.stage - last.stage <= together and one.feet[0] not in last.feet:
-            joined[-1] = TouchDown(one.stage, (*last.feet, *one.feet), max(last.earliest, one.earliest), one.latest)
+            begins = (max(last.earliest, one.earliest), one.latest, max(last.watched, one.watched))
+            joined[-1] = TouchDown(one.stage, (*last.feet, *one.feet), *begins)
         else:
             joined.append(one)
     return tuple(joined)
@@ -130,6 +137,7 @@ class StageRule:
 
     def __init__(self, touch_downs: Sequence[TouchDown]) -> None:
         self._touch_downs, self._next, self._early = touch_downs, 0, False
+        self._airborne: set[str] = set()  # feet of the next one that were seen in the air
 
     def __call__(self, clock: float, bears: Callable[[str], bool]) -> TouchDown | None:
         """The touch-down whose stage acts; None where it is the clock's.
@@ -141,16 +149,19 @@ class StageRule:
         clock += _ROUNDING
         while self._next < len(self._touch_downs):
             one = self._touch_downs[self._next]
-            if clock < one.earliest:
+            if clock < one.watched:
                 return None
             if clock < one.stage:
                 # The plan's own feet begin to bear load within the stage before: that is not early.
                 if not self._early and clock < one.stage - 1:
-                    self._early = all(map(bears, one.feet))
+                    down = [foot for foot in one.feet if bears(foot)]
+                    self._early = len(down) == len(one.feet) and self._airborne.issuperset(down)
+                    self._early &= clock >= one.earliest
+                    self._airborne.update(foot for foot in one.feet if foot not in down)
                 return one if self._early else None
             if not self._early and clock < one.latest and not any(map(bears, one.feet)):
                 return one
-            self._next, self._early = self._next + 1, False
+            self._next, self._early, self._airborne = self._next + 1, False, set()
         return None
 
 
@@ -172,5 +183,5 @@ def near_touch_downs(touch_downs: Sequence[TouchDown], N: int) -> np.ndarray:
     """(N,) bool, the stages in which a rule may differ from the clock."""
     near = np.zeros(N, dtype=bool)
     for one in touch_downs:
-        near[one.earliest : one.latest + 1] = True
+        near[one.watched : one.latest + 1] = True
     return near
