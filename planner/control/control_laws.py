@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import choice
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import mass_matrix
@@ -181,6 +182,9 @@ class FixedPlanController:
     def __init__(self, plan: Plan) -> None:
         self.plan, self.problem = plan, problem_of(plan)
         self._begin()
+        mechanism = capabilities_of(self.problem.dynamics).mechanism
+        contacts = () if mechanism is None else mechanism.contacts
+        self._feet = [] if mechanism is None else list(dict.fromkeys(mechanism.body_of(one.link) for one in contacts))
         self._hold: GoalRegulator | None = None
         self._holding = FallbackControl(self.problem)
         try:
@@ -210,6 +214,8 @@ class FixedPlanController:
                 default what the plan's contact law says at x, with the ground where the model has it.
         """
         plan, bounds = self.plan, self.problem.bounds
+        for foot in standing_feet or ():
+            choice("a foot of standing_feet", foot, self._feet)
         if not self._tracked.ended(t):
             u = self._tracked.waiting_control(t, x, standing_feet)
         else:

@@ -207,6 +207,8 @@ def test_a_plan_alone_takes_what_switches_tell(dropped):
     np.testing.assert_allclose(controller(t, x, standing_feet=FEET), early, atol=1e-12)
     controller.reset()
     np.testing.assert_allclose(controller(t, x, standing_feet=()), by_clock, atol=1e-12)
+    with pytest.raises(planner.PlannerError, match="front_left_shank"):
+        controller(t, x, standing_feet=["front_left"])
 
 
 def test_the_file_has_the_rule(dropped, tmp_path):
