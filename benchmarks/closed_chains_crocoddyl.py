@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from serving import Answer, serve, timed
+from crocoddyl_iteration import Iteration
+from serving import Answer, serve
 
 _known: dict[str, Any] = {}
 
@@ -53,35 +54,16 @@ def load(
     running = crocoddyl.IntegratedActionModelRK(differential, crocoddyl.RKType.four, dt)
     last = crocoddyl.IntegratedActionModelEuler(stage(10.0, 1.0, 0.0), 0.0)
     shooting = crocoddyl.ShootingProblem(start, [running] * N, last)
-    if shooting.nthreads != 1:
-        shooting.nthreads = 1
     us = [np.array(u)] * N
-    xs = list(shooting.rollout(us))
-    shooting.calc(xs, us)
-    stepper = crocoddyl.SolverDDP(shooting)
-    stepper.solve(xs, us, 1, True)
-    _known.update(shooting=shooting, stepper=stepper, xs=xs, us=us)
+    _known["iteration"] = Iteration(shooting, crocoddyl.SolverDDP(shooting), list(shooting.rollout(us)), us, True)
     data = differential.createData()
     differential.calc(data, start, np.array(probe))
     return {"acceleration": np.array(data.xout).tolist()}
 
 
-def rewind() -> None:
-    """Back to the first trajectory, its dynamics computed."""
-    _known["shooting"].calc(_known["xs"], _known["us"])
-    _known["stepper"].setCandidate(_known["xs"], _known["us"], True)
-
-
-def once() -> None:
-    """Linearize, sweep, try the full step."""
-    _known["stepper"].calcDiff()
-    _known["stepper"].backwardPass()
-    _known["stepper"].tryStep(1.0)
-
-
 def iterate(repeats: int, seconds: float) -> Answer:
     """Times of single iterations from the first trajectory."""
-    return {"times": timed(once, rewind, repeats, seconds)}
+    return _known["iteration"].times(repeats, seconds)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from serving import Answer, serve, timed
+from crocoddyl_iteration import Iteration
+from serving import Answer, serve
 
 _known: dict[str, Any] = {}
 
@@ -63,31 +64,14 @@ def load(
     scaled = [[one / dt for one in weights] for weights in (running, effort)]
     stages = [stage(scaled[0], [name for name in feet if stands[name][n]], scaled[1]) for n in range(N)]
     shooting = crocoddyl.ShootingProblem(start, stages, stage(final, list(feet), None))
-    shooting.nthreads = 1
-    xs, controls = [start] * (N + 1), [us] * N
-    shooting.calc(xs, controls)
-    stepper = crocoddyl.SolverFDDP(shooting)
-    stepper.solve(xs, controls, 1, False)
-    _known.update(shooting=shooting, stepper=stepper, xs=xs, us=controls)
+    solver = crocoddyl.SolverFDDP(shooting)
+    _known["iteration"] = Iteration(shooting, solver, [start] * (N + 1), [us] * N, False)
     return {"nv": machine.nv, "nu": actuation.nu}
-
-
-def rewind() -> None:
-    """Back to the first trajectory, its dynamics computed."""
-    _known["shooting"].calc(_known["xs"], _known["us"])
-    _known["stepper"].setCandidate(_known["xs"], _known["us"], False)
-
-
-def once() -> None:
-    """Linearize, sweep, try the full step."""
-    _known["stepper"].calcDiff()
-    _known["stepper"].backwardPass()
-    _known["stepper"].tryStep(1.0)
 
 
 def iterate(repeats: int, seconds: float) -> Answer:
     """Times of single iterations from the first trajectory."""
-    return {"times": timed(once, rewind, repeats, seconds)}
+    return _known["iteration"].times(repeats, seconds)
 
 
 if __name__ == "__main__":

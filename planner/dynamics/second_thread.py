@@ -26,7 +26,7 @@ from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.tree.memory import MEMORY, TreeMemory
 
 TRIALS = 3  # calls with one thread and with two, alternating, before the faster is known
-WORTH = 1e-4  # s: a shorter call is not tried with two, since to wake a thread takes a fifth of it
+WORTH = 1e-4  # s: a shorter call is not tried with two, since to wake a thread takes longer
 FASTER = 0.9  # of the duration on one thread, at most, with which the second one is used
 
 _solving = threading.local()
@@ -53,7 +53,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def _submitted(part: Callable[[int, int], None], first: int, end: int) -> Future[None] | None:
-    """A part in the other thread; None where the interpreter ends and begins no thread."""
+    """A part in the other thread; None where no thread can begin, as when the interpreter ends."""
     try:
         return _worker().submit(part, first, end)
     except RuntimeError:

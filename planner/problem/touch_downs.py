@@ -42,9 +42,8 @@ class TouchDown(NamedTuple):
     feet: tuple[str, ...]  # names of bodies
     earliest: int  # stage from which they may
     latest: int  # stage until which they are waited for
-    watched: int = (
-        0  # stage from which they are seen in the air, the middle of their swing: a late lift-off lands not early
-    )
+    # Stage from which they are looked for in the air, the middle of their swing: a foot that lifts off late stands too.
+    watched: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON values: the list touch_downs of a plan's file."""
