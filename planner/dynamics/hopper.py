@@ -30,7 +30,7 @@ class HopperDynamics:
     nx = 3
     nu = 1
     coordinates = (("height", "in"), ("velocity of height", "in/s"), ("piston", "in"))
-    structured = False
+    structured, outputs = False, 0
     has_slopes = True
     capabilities = Capabilities(contacts=True, exact_hessian=True)
     has_ranges = False  # its compiled rollout has no cost of state ranges: solves with these use NumPy

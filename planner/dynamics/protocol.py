@@ -71,6 +71,7 @@ class CompiledDynamics(Protocol):
 
     Attributes:
         structured: Whether F holds accelerations only (see Workspace).
+        outputs: The number of the last state components that the next state does not depend on (see Workspace).
         has_slopes: Whether rollouts return the directional derivatives of the cost that the Wolfe rule needs.
         kernels: Names, in kernels.precompile, of the kernels used by linearize_nominal and search.
         second_order_kernels: Names of the kernels used by second_order_nominal.
@@ -79,6 +80,8 @@ class CompiledDynamics(Protocol):
 
     @property
     def structured(self) -> bool: ...  # noqa: D102
+    @property
+    def outputs(self) -> int: ...  # noqa: D102
     @property
     def has_slopes(self) -> bool: ...  # noqa: D102
     @property

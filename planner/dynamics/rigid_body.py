@@ -82,7 +82,7 @@ class RigidBodyDynamics:
         if self.nu == 0:
             raise PlannerError("the model has no actuators, expected at least one <actuator> or a prescribed joint.")
         self.structured = known.form == SEMI_IMPLICIT_EULER and mechanism.na == 0
-        self.has_slopes = False
+        self.outputs, self.has_slopes = 0, False
         self.dense_kernels = tuple(variant(name, self._model) for name in ("tree search", "tree dense"))
         search, dense = self.dense_kernels
         self.kernels = (search, variant("tree structured", self._model) if self.structured else dense)

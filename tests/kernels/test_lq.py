@@ -237,11 +237,11 @@ def test_nan_is_not_positive_definite(nu, where):
 # The compiled sweep
 
 
-def filled(A, B, m):
+def filled(A, B, m, outputs=0):
     """A workspace that holds the problem."""
     N, nx, nu = B.shape
     weights = SimpleNamespace(Q=m.Q, R=m.R, x_ref=np.zeros((N + 1, nx)), u_ref=np.zeros((N, nu)))
-    w = Workspace(weights, euclidean(nx), structured=False)
+    w = Workspace(weights, euclidean(nx), structured=False, outputs=outputs)
     x = slice(w.first, w.first + nx)
     w.F[:, :, :nu], w.F[:, :, x] = B, A
     w.l[:N, :nu], w.l[:, x] = m.r, m.q
@@ -269,6 +269,28 @@ def test_compiled_sweep_is_its_twin(nx, nu, seed, N, mu):
     assert_close(w.K[:, :, w.first : w.first + nx], twin.K)
     kernels.direction(w.table, 0.0)
     assert_close(w.dus, lq.direction(A, B, twin)[1])
+
+
+@pytest.mark.parametrize(("nx", "nu", "outputs"), [(4, 1, 1), (8, 2, 2), (13, 3, 5), (12, 4, 4), (15, 2, 7)])
+@settings(max_examples=10, deadline=None)
+@given(seed=seeds, N=st.integers(1, 10), mu=st.sampled_from([0.0, 0.5]))
+def test_a_sweep_may_leave_out_the_zeros_of_outputs(nx, nu, outputs, seed, N, mu):
+    """No later state depends on outputs, and their weights are on nothing else; the twin knows nothing of them."""
+    A, B, m = random_problem(seed, N, nx, nu)
+    A[:, :, nx - outputs :] = 0.0
+    k = np.arange(nx - outputs, nx)
+    alone = m.Q[:, k, k]
+    m.Q[:, k, :] = m.Q[:, :, k] = 0.0
+    m.Q[:, k, k] = alone
+    twin = lq.riccati(A, B, m, mu)
+    w = filled(A, B, m, outputs)
+    for _ in range(2):  # nothing of the first may be left for the second
+        _, slope, definite = kernels.riccati_dense(w.table, mu, 0.0)
+        assert definite
+        assert slope == pytest.approx(twin.slope, rel=1e-9)
+        assert_close(w.gradient, lq.gradient(A, B, m), 11)
+        assert_close(w.k, twin.k)
+        assert_close(w.K[:, :, w.first : w.first + nx], twin.K)
 
 
 @pytest.mark.parametrize(("nx", "nu"), [(3, 1), (12, 3)])

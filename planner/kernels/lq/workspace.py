@@ -20,7 +20,7 @@ ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
 W = Layout(
     "N nx ndx nu width first structured vectors quaternions stage_terms stage_plain final_terms final_plain "
-    "control_terms bounded stage_penalties penalties exact residual_columns servos has_defects",
+    "control_terms bounded stage_penalties penalties exact residual_columns servos has_defects outputs",
     "xs us x_ref u_ref vector_x vector_dx quaternion_x quaternion_dx ball stage_row stage_column stage_value "
     "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
     "gradient H G S h costate dx trial_x trial_u deviations lower upper box penalty_dx penalty_lower penalty_upper "
@@ -45,6 +45,8 @@ class Workspace:
         penalties: The components of deviations that have ranges (see quadratic), those of the end alone last, and how
             many those are.
         servos: A planner.problem.control_bounds.Servos, or None.
+        outputs: How many of the last components of x only costs see: no later state depends on them, and a weight of
+            one is on no other. The sweep of a dense F leaves their zeros out.
 
     Attributes:
         table: The argument of kernels.
@@ -81,7 +83,7 @@ class Workspace:
 
     def __init__(
         self, cost: Any, space: Any, structured: bool, bounds: tuple[np.ndarray, np.ndarray] | None = None,
-        penalties: tuple[np.ndarray, int] | None = None, servos: Any = None,
+        penalties: tuple[np.ndarray, int] | None = None, servos: Any = None, outputs: int = 0,
     ) -> None:  # fmt: skip
         Q, R = cost.Q, cost.R
         N, nu = R.shape[:2]
@@ -158,6 +160,7 @@ class Workspace:
             at_end,
             "penalties": len(penalty_dx), "exact": False, "residual_columns": 0,
             "servos": 0 if servos is None else len(servos.control), "has_defects": False,
+            "outputs": outputs,
         }  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = W.table(sizes, self._arrays)

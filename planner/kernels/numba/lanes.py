@@ -24,6 +24,7 @@ them again after each store.
 
 from __future__ import annotations
 
+import math
 import operator
 from typing import Any
 
@@ -55,7 +56,7 @@ def padded(n: int) -> int:
 
 def lane_array(*shape: int) -> np.ndarray:
     """A zero float64 array that starts on a cache line."""
-    count = int(np.prod(shape))
+    count = math.prod(shape)
     buffer = np.zeros(count + _LINE)
     start = -buffer.ctypes.data // 8 % _LINE
     return buffer[start : start + count].reshape(shape)

@@ -90,6 +90,7 @@ class JerkDynamics:
         self.search, self.take, self.residuals = dynamics.search, dynamics.take, dynamics.residuals
         self.quadratize_nominal = dynamics.quadratize_nominal
         nv, ndx = self.mechanism.nv, dynamics.ndx
+        self.outputs = nv
         self._velocities = slice(nv, 2 * nv)  # rows of A and B
         self._accelerations, self._rates = slice(ndx, ndx + nv), slice(ndx + nv, ndx + 2 * nv)
 
@@ -117,10 +118,10 @@ class JerkDynamics:
         """Fill the rows of the accelerations and their rates from those of the velocities."""
         k = np.arange(self.mechanism.nv)
         for part in (by_u, by_x):
-            part[:, self._accelerations] = part[:, self._velocities] / self.dt
+            np.multiply(part[:, self._velocities], 1.0 / self.dt, out=part[:, self._accelerations])
         by_x[:, self._accelerations.start + k, self._velocities.start + k] -= 1.0 / self.dt
         for part in (by_u, by_x):
-            part[:, self._rates] = part[:, self._accelerations] / self.dt
+            np.multiply(part[:, self._accelerations], 1.0 / self.dt, out=part[:, self._rates])
         by_x[:, self._rates.start + k, self._accelerations.start + k] -= 1.0 / self.dt
 
     def memory(self, N: int) -> SolveMemory:
@@ -243,14 +244,14 @@ def _with_jerk_weights(cost: Any, own: StateSpace, space: StateSpace) -> Cost:
     """A cost of states in `own` on those of JerkDynamics: JerkCosts become weights of its TrackingCost."""
     terms = getattr(cost, "costs", (cost,))
     jerk = [term for term in terms if isinstance(term, JerkCost)]
-    others = [extended_cost(term, own, space) for term in terms if not isinstance(term, JerkCost)]
+    others = [term for term in terms if not isinstance(term, JerkCost)]
     k = next((k for k, term in enumerate(others) if type(term) is TrackingCost), None)
     if k is None:
         raise PlannerError("the cost has no TrackingCost, expected one for jerk: TrackingCost(...) + your own cost.")
-    track = others[k]
-    Q = sum((term.weights(space) for term in jerk), start=track.Q)
-    others[k] = TrackingCost(Q, track.R, track.x_ref, track.u_ref, space)
-    return others[0] if len(others) == 1 else SumCost(*others)
+    Q = sum(term.weights(space) for term in jerk)
+    extended = [others[k].augmented(own, space, Q), *(extended_cost(term, own, space) for term in others[k + 1 :])]
+    costs = [*(extended_cost(term, own, space) for term in others[:k]), *extended]
+    return costs[0] if len(costs) == 1 else SumCost(*costs)
 
 
 def driven_by_jerk(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:

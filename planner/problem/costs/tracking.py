@@ -76,6 +76,11 @@ def places(
     return joints, inputs, activations
 
 
+def _distinct(weights: np.ndarray) -> np.ndarray:
+    """The matrices (stages, size, size) that differ from that of the stage before: checks of them are dear."""
+    return weights[np.append(True, (weights[1:] != weights[:-1]).any(axis=(1, 2)))]
+
+
 class TrackingCost(Term):
     """The paper's quadratic cost (Eq. 11, 12): 1/2 |x - x_ref|^2_Q + 1/2 |u - u_ref|^2_R, summed over the stages.
 
@@ -102,14 +107,15 @@ class TrackingCost(Term):
         array("R", self.R, (self.N, self.nu, self.nu))
         self.x_ref = states("x_ref", _references("x_ref", x_ref, self.N + 1, self.nx), self.space)
         self.u_ref = _references("u_ref", u_ref, self.N, self.nu)
-        for name, weight in (("Q", self.Q), ("R", self.R)):
+        of_states, of_controls = _distinct(self.Q), _distinct(self.R)
+        for name, weight in (("Q", of_states), ("R", of_controls)):
             if not np.allclose(weight, np.swapaxes(weight, 1, 2), rtol=1e-12, atol=0.0):
                 raise PlannerError(f"{name} is not symmetric, expected symmetric weights.")
-        smallest = np.linalg.eigvalsh(self.R).min()
+        smallest = np.linalg.eigvalsh(of_controls).min()
         if smallest <= 0.0:
             raise PlannerError(f"R has the eigenvalue {smallest:.3g}, expected positive definite control weights.")
-        largest = np.abs(self.Q).max()
-        if np.linalg.eigvalsh(self.Q).min() < -1e-10 * largest:
+        largest = np.abs(of_states).max()
+        if np.linalg.eigvalsh(of_states).min() < -1e-10 * largest:
             raise PlannerError("Q has a negative eigenvalue, expected positive semidefinite state weights.")
         for fixed in (self.Q, self.R, self.x_ref, self.u_ref):  # solves keep copies of their own
             fixed.flags.writeable = False
@@ -215,12 +221,16 @@ class TrackingCost(Term):
         """The same with the weights of the controls multiplied."""
         return self._of_own_kind(self.Q, weight * self.R, self.x_ref, self.u_ref)
 
-    def augmented(self, own: StateSpace, space: StateSpace) -> Cost:
-        """A TrackingCost with zero weight on the appended states, so that limits still find its reference."""
+    def augmented(self, own: StateSpace, space: StateSpace, weights: np.ndarray | float = 0.0) -> Cost:
+        """A TrackingCost on states with appended components, so that limits still find its reference.
+
+        Its weights are added to `weights` (N+1, ndx, ndx).
+        """
         if type(self) is not TrackingCost:
             return super().augmented(own, space)
-        more, further = space.ndx - own.ndx, space.nx - own.nx
-        Q = np.pad(self.Q, ((0, 0), (0, more), (0, more)))
+        further = space.nx - own.nx
+        Q = np.zeros((self.N + 1, space.ndx, space.ndx)) + weights
+        Q[:, : own.ndx, : own.ndx] += self.Q
         return TrackingCost(Q, self.R, np.pad(self.x_ref, ((0, 0), (0, further))), self.u_ref, space)
 
     def with_goal(self, goal: np.ndarray) -> TrackingCost:

@@ -69,7 +69,7 @@ class CompiledEngine(Engine):
         numbers = None if problem.bounds is None else (problem.bounds.lower, problem.bounds.upper)
         servos = None if problem.bounds is None else problem.bounds.servos
         self._space = space_of(dynamics)
-        self._w = Workspace(cost, self._space, dynamics.structured, numbers, penalties, servos)
+        self._w = Workspace(cost, self._space, dynamics.structured, numbers, penalties, servos, dynamics.outputs)
         free = (riccati_dense, riccati_structured)
         boxed = (riccati_dense_bounded, riccati_structured_bounded)
         self._riccati = (free if problem.bounds is None else boxed)[dynamics.structured]

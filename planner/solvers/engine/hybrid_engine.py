@@ -20,7 +20,7 @@ from planner.kernels.lq.workspace import ALPHA, COSTS, SLOPES
 from planner.problem.constraints.quantities import KernelResidual, penalty_arrays
 from planner.problem.constraints.trajectory_constraints import BoundPenalties, TrajectoryConstraints
 from planner.problem.costs.residual_arrays import ResidualArrays, joined
-from planner.problem.costs.terms import Cost, SumCost
+from planner.problem.costs.terms import Cost, Quadratic, SumCost
 from planner.problem.problem import Problem
 from planner.solvers.engine.compiled import CompiledEngine
 from planner.solvers.engine.protocol import check_quadratic
@@ -52,11 +52,12 @@ class HybridEngine(CompiledEngine):
         """Restore the state of a new engine."""
         super().reset()
         self._of_dynamics: np.ndarray | None = None  # T of the dynamics' second order alone
+        self._at_start: tuple[np.ndarray, np.ndarray, Quadratic] | None = None  # states, controls, terms in NumPy there
         self._changed_stages = np.empty(0, dtype=int)  # of T, to which terms were added
 
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Set the rollout of the first guess us (N, nu), clipped to bounds; its cost."""
-        self._of_dynamics = None
+        self._of_dynamics = self._at_start = None
         cost = super().start_from_controls(x0, us, exact)
         if self._adds:
             w = self._w
@@ -65,6 +66,7 @@ class HybridEngine(CompiledEngine):
             if self._own is not None and math.isfinite(cost):
                 model = self._own.quadratize(w.xs.copy(), w.us.copy())
                 check_quadratic(model, len(w.us), w.us.shape[1], w.ndx)
+                self._at_start = (w.xs.copy(), w.us.copy(), model)
                 self.largest_control_weight = float(np.abs(self._R + model.R).max()) or 1.0
         return cost
 
@@ -105,7 +107,7 @@ class HybridEngine(CompiledEngine):
         self._changed_stages = self._changed_stages[:0]
         if self._own is None:
             return
-        model = self._own.quadratize(w.xs.copy(), w.us.copy())
+        model = self._quadratized(self._own)
         nu, x = w.us.shape[1], slice(w.first, w.first + w.ndx)
         if self._upper is None:
             self._upper = np.triu(np.ones((w.T.shape[1], w.T.shape[1])))
@@ -116,6 +118,13 @@ class HybridEngine(CompiledEngine):
         if model.S is not None:
             w.T[:-1, :nu, x] = model.S
         self._changed_stages = np.arange(len(w.T))
+
+    def _quadratized(self, own: Cost) -> Quadratic:
+        """The terms in NumPy quadratized along the trajectory, which start_from_controls has done for the first."""
+        w, start, self._at_start = self._w, self._at_start, None
+        if start is not None and np.array_equal(w.us, start[1]) and np.array_equal(w.xs, start[0]):
+            return start[2]
+        return own.quadratize(w.xs.copy(), w.us.copy())
 
     def _second_order(self) -> None:
         if not self._adds:
