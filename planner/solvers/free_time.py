@@ -35,12 +35,13 @@ from planner.solvers.gains import warm_start
 from planner.solvers.options import single_start, with_overrides
 from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.waypoints import best_waypoints, free_waypoints
-from planner.solvers.work import budget_of
+from planner.solvers.work import budget_of, record_of_cut
 
 TOLERANCE = 1e-3
 """Default tolerance of the duration, relative."""
 LOOK = 60  # iteration limit of a warm-started solve, after which a large violation means that T is too short
 MAX_VIOLATION_RATIO = 1000.0  # violation / tolerance above which T is too short; 100 rejects a feasible T of two-link
+_AFRESH = 0.95  # times the least duration found, at which a solve begins afresh
 _SHRINK = 0.85  # ratio of successive durations: 15 per decade
 
 
@@ -195,6 +196,7 @@ class _DurationSearch:
         self.problem, self.weights, self.callback = problem, weights, callback
         # The search itself finds the durations that are long enough, and starts each from a free plan.
         self.options: dict[str, Any] = options | {"options": with_overrides(options.get("options"), homotopy=False)}
+        self.relaxed = options
         rest = {name: weight for name, weight in weights.items() if name != "time"}
         self.rest, self.alone = rest or {"effort": 1.0}, not rest
         self.tried: list[DurationTrial] = []
@@ -203,16 +205,23 @@ class _DurationSearch:
         self.best: tuple[float, float] | None = None  # lowest value, and its duration
         self.budget, self.is_cut = options.get("budget"), False
 
-    def at(self, duration: float, value: Callable[[DurationTrial], float]) -> float:
-        """Solve at a duration, s; the value of its trial, infinite if the limits are violated."""
+    def at(self, duration: float, value: Callable[[DurationTrial], float], afresh: bool = False) -> float:
+        """Solve at a duration, s; the value of its trial, infinite if the limits are violated.
+
+        With `afresh` it starts from the free plan and is relaxed as any solve, as if no other duration were known.
+        """
         duration = float(duration)
         if self.last is not None and self.budget is not None and self.budget.exhausted:
             self.is_cut = True
             raise _Cut
         problem = with_objective(retimed(base_problem(self.problem), duration), self.rest)
         options = single_start(self.options) if self.tried else self.options
+        if afresh:
+            options = single_start(self.relaxed)
         plan = None
-        if self.plans:
+        if self.budget is not None and self.tried:
+            self.budget.charge_warm_start(problem)
+        if self.plans and not afresh:
             nearest_duration = min(self.plans, key=lambda T: abs(math.log(T / duration)))
             if self.alone:
                 plan = self._first_look(problem, self.plans[nearest_duration].stretched(duration), options)
@@ -270,7 +279,9 @@ class _DurationSearch:
         told = options | {"tried": [[line.duration, line.cost, line.violation] for line in self.tried]}
         plan = replace(as_user_plan(wanted, plan), options=plan.options | told)
         budget = self.budget if self.is_cut and plan.converged else None
-        return plan if budget is None else replace(plan, status=budget.end)
+        if budget is None:
+            return plan
+        return replace(plan, status=budget.end, options=plan.options | record_of_cut(budget.end, budget))
 
 
 def _outside(problem: Problem, plan: Plan) -> float:
@@ -280,24 +291,34 @@ def _outside(problem: Problem, plan: Plan) -> float:
 
 
 def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:
-    """Minimum feasible duration: reduced by _SHRINK until infeasible, then bisection."""
+    """Minimum feasible duration: reduced by _SHRINK until infeasible, then bisection.
 
-    def misses(duration: float) -> bool:
-        return math.isinf(search.at(duration, lambda line: line.duration))
+    A machine with joints that nothing drives may get there in other ways, with one swing less, in durations in which
+    none leads from its longer plan: so a duration below the least that was found is tried afresh.
+    """
+    swings = capabilities_of(search.problem.dynamics).has_unactuated
+
+    def misses(duration: float, afresh: bool = False) -> bool:
+        return math.isinf(search.at(duration, lambda line: line.duration, afresh))
 
     high = low = float(np.clip(search.problem.duration, shortest, longest))
     if misses(high):
         if high == longest or misses(longest):
             return
         low, high = high, longest
-    while low == high:
-        if high == shortest:
+    while True:
+        while low == high:
+            if high == shortest:
+                return
+            low = max(shortest, _SHRINK * high)
+            high = high if misses(low) else low
+        while high - low > tolerance * high:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if misses(middle) else (low, middle)
+        shorter = _AFRESH * high
+        if not swings or shorter < shortest or misses(shorter, afresh=True):
             return
-        low = max(shortest, _SHRINK * high)
-        high = high if misses(low) else low
-    while high - low > tolerance * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if misses(middle) else (low, middle)
+        low = high = shorter
 
 
 def _cheapest(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:

@@ -42,7 +42,7 @@ from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import is_unresolved, stage_too_long
 from planner.solvers.augmented_lagrangian import augmented_lagrangian
-from planner.solvers.engine import Engine, acquire_engine, release_engine
+from planner.solvers.engine import Engine, acquire_engine, is_in_numpy, release_engine
 from planner.solvers.gains import tracked_warm_start, with_robust_gains
 from planner.solvers.multiple_shooting import close_defects, guessed_states, line_to_the_end
 from planner.solvers.multistart import best_of
@@ -135,7 +135,8 @@ def solve(
     work = budget_of(budget)
     if work is not None:
         deadline = work.deadline
-        settings = with_overrides(settings, max_iterations=work.iterations(problem, asked, settings.starts))
+        most = work.iterations(problem, asked, settings.starts, is_in_numpy(problem, settings.rule))
+        settings = with_overrides(settings, max_iterations=most)
     if callback is not None and not callable(callback):
         raise PlannerError(f"callback is {short_repr(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
@@ -184,7 +185,7 @@ def solve(
             )
             best = solved(steady)
     if work is not None:
-        work.charge(problem, best.total_iterations)
+        work.charge(problem, best.total_iterations, is_in_numpy(problem, settings.rule))
     if (
         may_relax and not (work is not None and (work.exhausted or work.iterations(core, 2) < 2))
         and is_trapped(core, best, whole)  # the budget has not cut it: some is left

@@ -34,7 +34,7 @@ RATES = 4e-8  # times evaluations times (degrees of freedom and rows of closures
 CONTACT = 3e-8  # times evaluations
 RICCATI = 8e-10  # times ndx^3
 PAIR = 3e-6  # of shapes that are kept apart
-IN_NUMPY = 5e-4  # of what no kernel computes: dynamics of the user's own, jerk
+IN_NUMPY = 5e-4  # of what no kernel computes: dynamics of the user's own, the Wolfe rule, a warm start
 CLOSURE_ROWS = 3
 
 
@@ -111,14 +111,18 @@ class WorkBudget:
         """The status of a solve that this budget cuts now."""
         return Status.TIME_LIMIT if self.out_of_time else Status.WORK_LIMIT
 
-    def iterations(self, problem: Problem, asked: int, starts: int = 1) -> int:
+    def iterations(self, problem: Problem, asked: int, starts: int = 1, in_numpy: bool = False) -> int:
         """Iterations allowed for each start of a solve: `asked`, or fewer if the remaining work is less."""
-        allowed = self.left / (problem.N * work_of_stage(problem) * starts)
+        allowed = self.left / (problem.N * work_of_stage(problem, in_numpy) * starts)
         return asked if allowed >= asked else max(1, int(allowed))
 
-    def charge(self, problem: Problem, iterations: int) -> None:
+    def charge(self, problem: Problem, iterations: int, in_numpy: bool = False) -> None:
         """Count iterations of a problem."""
-        self._count(iterations * problem.N * work_of_stage(problem), self._purpose)
+        self._count(iterations * problem.N * work_of_stage(problem, in_numpy), self._purpose)
+
+    def charge_warm_start(self, problem: Problem) -> None:
+        """Count a warm start: rollouts that track a plan, and the gains for them, stage by stage in NumPy."""
+        self._count(problem.N * IN_NUMPY, self._purpose)
 
     def charge_proof(self, problem: Problem) -> None:
         """Count a proof of a plan of a problem."""
@@ -171,8 +175,13 @@ def work_of_proof(problem: Problem) -> float:
     return PROOF[0] + PROOF[1] * problem.N * work_of_stage(problem)
 
 
-def work_of_stage(problem: Problem) -> float:
-    """The work of one stage in one iteration, by the sizes of the problem: derivatives, Riccati sweep, line search."""
+def work_of_stage(problem: Problem, in_numpy: bool = False) -> float:
+    """The work of one stage in one iteration, by the sizes of the problem: derivatives, Riccati sweep, line search.
+
+    Args:
+        problem: Any.
+        in_numpy: Whether no kernels can solve it, as with dynamics of the user's own.
+    """
     dynamics, ndx = problem.dynamics, space_of(problem.dynamics).ndx
     mechanism, pairs = capabilities_of(dynamics).mechanism, pair_clearance_of(problem.constraints)
     evaluations = getattr(dynamics, "substeps", 1) * integrator_of(dynamics).evaluations
@@ -181,8 +190,9 @@ def work_of_stage(problem: Problem) -> float:
         size = mechanism.nv + CLOSURE_ROWS * (len(mechanism.loops) + len(mechanism.polynomial_couplings))
         contacts = len(mechanism.contacts) + len(mechanism.body_contacts)
     rates = evaluations * (RATES * size**2 + CONTACT * contacts)
-    jerk = problem.objective is not None and "jerk" in problem.objective.weights
-    rates += IN_NUMPY if jerk or not isinstance(dynamics, CompiledDynamics) else 0.0
+    if problem.objective is not None and "jerk" in problem.objective.weights:
+        ndx *= 2  # accelerations and their rates are states
+    rates += IN_NUMPY if in_numpy or not isinstance(dynamics, CompiledDynamics) else 0.0
     return CALL + rates + RICCATI * ndx**3 + PAIR * (0 if pairs is None else len(pairs.pairs))
 
 
@@ -198,5 +208,11 @@ def with_cut(plan: Plan, budget: WorkBudget, fewer: bool, recorded: dict[str, An
     if fewer and plan.status is Status.MAX_ITERATIONS:
         plan = replace(plan, status=Status.WORK_LIMIT)
     if plan.status is Status.WORK_LIMIT:  # of the solve, or of a relaxation after it
-        recorded["cut"], recorded["work"] = Status.WORK_LIMIT.name, budget.whole.limit
+        recorded |= record_of_cut(plan.status, budget)
     return plan
+
+
+def record_of_cut(status: Status, budget: WorkBudget) -> dict[str, Any]:
+    """What the options of a plan say of the budget that cut its solve, or the search that it is of."""
+    limit = {"work": budget.whole.limit} if status is Status.WORK_LIMIT else {}
+    return {"cut": status.name} | limit

@@ -32,6 +32,7 @@ __all__ = [
     "IterationResult",
     "NumpyEngine",
     "acquire_engine",
+    "is_in_numpy",
     "release_engine",
 ]
 
@@ -64,6 +65,11 @@ def _new_engine(problem: Problem, rule: int) -> Engine:
         if hasattr(dynamics, "nominal_jacobians"):
             return ConstrainedEngine(problem, constraints, dynamics, *costs, own)
     return NumpyEngine(problem)
+
+
+def is_in_numpy(problem: Problem, rule: int) -> bool:
+    """Whether compiled dynamics have no kernels for a line search, so that NumPy solves the problem."""
+    return isinstance(problem.dynamics, CompiledDynamics) and not _has(problem.dynamics, problem, rule, False)
 
 
 def _idle_of(problem: Problem, rule: int) -> list[Engine]:
