@@ -189,9 +189,13 @@ def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = 
 
 
 def show_fixes(fixes: Sequence[SuggestedFix], console: Console) -> None:
-    """Print what to write so that a plan passes, the most likely first."""
-    for i, one in enumerate(fixes):
+    """Print what to write so that a plan passes, the most likely first, and what was tried and does not pass."""
+    known = [one for one in fixes if one.tried != "fails"]
+    for i, one in enumerate(known):
         console.write_result(f"{'or' if i else 'to pass'}: {one}")
+    for one in fixes:
+        if one.tried == "fails":
+            console.write_result(f"tried: {one}")
 
 
 def solve_case(arguments: argparse.Namespace, console: Console) -> int:

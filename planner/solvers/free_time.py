@@ -35,12 +35,13 @@ from planner.solvers.gains import warm_start
 from planner.solvers.options import single_start, with_overrides
 from planner.solvers.slq import as_user_plan, solve
 from planner.solvers.waypoints import best_waypoints, free_waypoints
-from planner.solvers.work import budget_of, record_of_cut
+from planner.solvers.work import WorkBudget, budget_of, record_of_cut
 
 TOLERANCE = 1e-3
 """Default tolerance of the duration, relative."""
 LOOK = 60  # iteration limit of a warm-started solve, after which a large violation means that T is too short
 MAX_VIOLATION_RATIO = 1000.0  # violation / tolerance above which T is too short; 100 rejects a feasible T of two-link
+AFRESH_WORK = 5.0  # limit of the work of such a solve, which is relaxed: most that fail take all of it
 _AFRESH = 0.95  # times the least duration found, at which a solve begins afresh
 _SHRINK = 0.85  # ratio of successive durations: 15 per decade
 
@@ -217,7 +218,9 @@ class _DurationSearch:
         problem = with_objective(retimed(base_problem(self.problem), duration), self.rest)
         options = single_start(self.options) if self.tried else self.options
         if afresh:
-            options = single_start(self.relaxed)
+            left = WorkBudget(AFRESH_WORK) if self.budget is None else self.budget.part("afresh")
+            left.limit = min(left.limit, AFRESH_WORK)
+            options = single_start(self.relaxed) | {"budget": left}
         plan = None
         if self.budget is not None and self.tried:
             self.budget.charge_warm_start(problem)
@@ -293,10 +296,9 @@ def _outside(problem: Problem, plan: Plan) -> float:
 def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:
     """Minimum feasible duration: reduced by _SHRINK until infeasible, then bisection.
 
-    A machine with joints that nothing drives may get there in other ways, with one swing less, in durations in which
-    none leads from its longer plan: so a duration below the least that was found is tried afresh.
+    There may be other ways, with one swing less, in durations to which none leads from the longer plan: so one below
+    the least that was found is tried afresh.
     """
-    swings = capabilities_of(search.problem.dynamics).has_unactuated
 
     def misses(duration: float, afresh: bool = False) -> bool:
         return math.isinf(search.at(duration, lambda line: line.duration, afresh))
@@ -316,7 +318,7 @@ def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: 
             middle = 0.5 * (low + high)
             low, high = (middle, high) if misses(middle) else (low, middle)
         shorter = _AFRESH * high
-        if not swings or shorter < shortest or misses(shorter, afresh=True):
+        if shorter < shortest or misses(shorter, afresh=True):
             return
         low = high = shorter
 

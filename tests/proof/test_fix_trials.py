@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+from planner.problem.plan import Status
 from planner.proof.diagnostics import SuggestedFix
 from planner.proof.repair import fixes
 from planner.proof.repair.fixes import FixTrials
@@ -13,7 +14,8 @@ class Trials(FixTrials):
 
     def _tried(self, fixes, failed):
         self.solve.append(([(one.key, one.value) for one in fixes], failed))
-        return self.prove.pop(0)
+        done = self.prove.pop(0)
+        return done if isinstance(done, tuple) else (done, None)
 
 
 def trials(results):
@@ -45,3 +47,30 @@ def test_weights_are_raised_from_the_plan_that_still_lacks_them(monkeypatch):
     log, asked = trials(list(failed))
     assert asked._first_passing(SuggestedFix("", key="dt", value=7))[1] is None
     assert len(log) == 1
+
+
+def test_a_trial_that_its_work_cut_is_undecided_and_no_longer_duration_is_tried():
+    log, asked = trials([(None, Status.WORK_LIMIT), SimpleNamespace(passed=True)])
+    found, done = asked._first_passing(SuggestedFix("", key="duration", value=2.0))
+    assert done is None
+    assert len(log) == 1
+    assert found.tried == "undecided"
+
+
+def test_what_was_tried_last_is_said_to_fail(monkeypatch):
+    monkeypatch.setattr(fixes, "longer", lambda _, one: replace(one, value=1.5 * one.value))
+    _, asked = trials([(None, Status.NO_DESCENT), (None, Status.NOT_FINITE), SimpleNamespace(passed=True)])
+    found, done = asked._first_passing(SuggestedFix("", key="duration", value=2.0))
+    assert done is None  # a solve that runs away does so in a longer time, too
+    assert (found.value, found.tried) == (3.0, "fails")
+
+
+def test_a_plan_that_may_still_fall_does_not_keep_other_fixes_from_being_tried():
+    passed = SimpleNamespace(passed=True)
+    log, asked = trials([passed])
+    asked.budget.before_proof = lambda _: SimpleNamespace(exhausted=False)
+    found = (SuggestedFix("", key="optimal"), SuggestedFix("", key="duration", value=2.0))
+    assert [one.tried for one in asked.run(found)[1]] == ["passes", ""]
+    log, asked = trials([passed])
+    assert asked.run((SuggestedFix("", key="goal"), SuggestedFix("", key="duration", value=2.0)))[0] is None
+    assert not log  # nothing helps where the goal itself is at fault

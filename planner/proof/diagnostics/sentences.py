@@ -84,4 +84,7 @@ SENTENCES = {
     "controls that are constant for {dt:.4g}, in which the machine swings through {swing:.2g}",
 }  # fmt: skip
 
-TRIED = {"": "", "passes": " (tried: with it the plan passes)", "fails": " (tried: not enough)"}
+TRIED = {
+    "": "", "passes": " (tried: with it the plan passes)", "fails": " (tried: not enough)",
+    "undecided": " (tried: not decided within the work; write it, or more `work`)",
+}  # fmt: skip

@@ -81,7 +81,9 @@ def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
 
 
 def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """For a solve that ended though its cost may still fall: how to continue it, or to skip the optimality check."""
+    """For a solve that converged though its cost may still fall: how to go on, or to skip the optimality check."""
+    if not plan.converged and plan.status not in (Status.GIVEN, Status.INTERRUPTED, Status.NO_DESCENT):
+        return []  # what kept it from converging is the cause
     failures = {} if proof is None else {one.name: one.value for one in proof.optimality.failures}
     if "decrease_left" in failures:
         return [no_fix("optimal", "not_a_minimum", left=failures["decrease_left"])]

@@ -28,7 +28,7 @@ class SuggestedFix(Diagnostic):
             to set. "max_iterations" is a flag of the command line and an argument of solve().
         value: The new value, a JSON value; None if no value helps.
         written: The change in the notation of the problem's origin: its file, a command line or Python.
-        tried: "passes" or "fails" once a repair has tried it, else "".
+        tried: "passes", "fails" or "undecided" once a repair has tried it, else "".
     """
 
     key: str = ""

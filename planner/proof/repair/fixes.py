@@ -56,11 +56,11 @@ class FixTrials:
 
     def run(self, found: tuple[SuggestedFix, ...]) -> tuple[Refined | None, tuple[SuggestedFix, ...]]:
         """The plan and proof that passed with a fix applied, or None; and the updated fixes, failed ones last."""
-        if any(one.value is None for one in found):
-            return None, found
-        failed: list[SuggestedFix] = []
+        if any(one.value is None and one.key != "optimal" for one in found):
+            return None, found  # the task itself is at fault
+        failed: list[tuple[SuggestedFix, SuggestedFix]] = []  # with what was tried for each last
         for one in sorted(found, key=lambda one: not is_automatic(one.key)):
-            if one.key in NOT_TRIED:
+            if one.key in NOT_TRIED or one.value is None:
                 continue
             if self.budget.before_proof(self.problem).exhausted:
                 self.report(FixTrial(one, "not tried"))
@@ -71,30 +71,35 @@ class FixTrials:
                 self.report(FixTrial(one, "not tried"))
                 break
             if better is None:
-                failed.append(one)
+                failed.append((one, last))
             elif is_automatic(one.key):
                 self.report(FixTrial(last, "applied"))
                 return better, ()
             else:
                 self.report(FixTrial(last, "passes"))
-                rest = [other for other in found if other is not one and other not in failed]
+                rest = [other for other in found if other is not one and not any(other is of for of, _ in failed)]
                 return None, (replace(last, tried="passes"), *rest)
-        rest = [one for one in found if one not in failed]
-        return None, (*rest, *(replace(one, tried="fails") for one in found if one in failed))
+        rest = [one for one in found if not any(one is of for of, _ in failed)]
+        return None, (*rest, *(last for _, last in failed))
 
     def _first_passing(self, one: SuggestedFix) -> tuple[SuggestedFix, Refined | None]:
-        """The fix, with a longer duration or other weights if need be; and the passing plan and proof or None."""
-        fixes, failed = [one], self.failed
+        """The fix, with a longer duration or other weights if need be; and the passing plan and proof or None.
+
+        One that did not pass is the last that was tried, and says how it ended.
+        """
+        fixes, failed, tried = [one], self.failed, replace(one, tried="fails")
         for left in reversed(range({"duration": MAX_DURATIONS, "weights": MAX_WEIGHTS}.get(_kind(one), 1))):
             try:
-                done = self._tried(fixes, failed)
+                done, status = self._tried(fixes, failed)
             except _OutOfWorkError:
                 if fixes == [one]:
                     raise
                 break
             if done is not None and done.passed:
                 return fixes[-1], done
-            if self.budget.exhausted or not left:
+            undecided = status in (Status.WORK_LIMIT, Status.TIME_LIMIT)
+            tried = replace(fixes[-1], tried="undecided" if undecided else "fails")
+            if self.budget.exhausted or not left or undecided or status is Status.NOT_FINITE:
                 break
             if one.key == "duration":
                 fixes = [longer(self.problem, fixes[-1])]
@@ -102,7 +107,7 @@ class FixTrials:
                 fixes, failed = [*fixes, more[0]], more[1]
             else:
                 break
-        return fixes[-1], None
+        return tried, None
 
     @staticmethod
     def _more_weight(done: Refined | None) -> tuple[SuggestedFix, Plan] | None:
@@ -112,8 +117,11 @@ class FixTrials:
         found = suggested_fixes(done.plan, done.proof)
         return next(((one, done.plan) for one in found if _kind(one) == "weights"), None)
 
-    def _tried(self, fixes: list[SuggestedFix], failed: Plan) -> Refined | None:
-        """The plan and proof of a trial of the last of some fixes, after finer steps; None where there is none."""
+    def _tried(self, fixes: list[SuggestedFix], failed: Plan) -> tuple[Refined | None, Status | None]:
+        """The plan and proof of a trial of the last of some fixes, after finer steps, and the status of its solve.
+
+        None for what there is not.
+        """
         one, problem, asked = fixes[-1], self.problem, self.max_iterations
         if one.key == ITERATIONS:
             asked = one.value
@@ -124,8 +132,9 @@ class FixTrials:
                     problem = replace(problem, us=warm_start(failed, problem))
             except PlannerError as error:
                 self.report(FixTrial(one, "refused", str(error)))
-                return None
-        budget = self.budget.part("suggested fixes", SHARE).before_proof(problem)
+                return None, None
+        share = 1.0 if one.code == "infeasible" else SHARE  # a duration that a relaxation has passed in
+        budget = self.budget.part("suggested fixes", share).before_proof(problem)
         if budget.iterations(problem, MIN_ITERATIONS) < MIN_ITERATIONS:
             raise _OutOfWorkError
         self.report(FixTrial(one, "begins"))
@@ -134,12 +143,12 @@ class FixTrials:
             raise KeyboardInterrupt
         if not plan.converged:
             self.report(FixTrial(one, "not solved", plan.status.name))
-            return None
+            return None, plan.status
         self.budget.charge_proof(problem)
         done = self.refine(plan, self.prove(plan))
         if not done.passed:
             self.report(FixTrial(one, "fails", done.proof.reason))
-        return done
+        return done, plan.status
 
 
 def _kind(one: SuggestedFix) -> str:
