@@ -219,7 +219,8 @@ def infeasible_message(message: str, found: Mapping[str, Any]) -> str:
     if "duration" in found:
         passes.append(f"in {found['duration']:.6g} s")
     if "factor" in found:
-        passes.append(f"with limits {math.ceil(100.0 * found['factor']) / 100.0:.6g} times as wide")
+        wider = math.ceil(100.0 * found["factor"]) / 100.0
+        passes.append(f"with limits {wider:.6g} times as wide, in the model too where they are its own")
     return f"{message[:-1]}: it passes {', or '.join(passes)}." if passes else message
 
 

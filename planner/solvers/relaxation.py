@@ -36,6 +36,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
+from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
@@ -60,6 +61,7 @@ from planner.solvers.trapped import (
     MAX_QUICK_ITERATIONS,
     NEAR,
     failed,
+    is_at_goals,
     is_settled,
     is_trapped,
     lacks_weight,
@@ -156,6 +158,7 @@ class _Relaxation:
     steps: list[RelaxationStep] = field(default_factory=list)
     passing: dict[str, float] = field(default_factory=dict)  # the factor and the duration that pass
     best: Plan | None = None  # of the problem itself, for a relaxation that is cut
+    is_kept: Callable[[Plan], bool] = meets_goals  # a plan on the way into the limits
 
     def run(self, direct: Plan) -> Plan:
         problem, limit = self.problem, self.options.max_iterations
@@ -192,9 +195,11 @@ class _Relaxation:
         if not (failed(direct) and at_limits(problem, direct)):
             return direct
         free = self._solve(free_problem(problem), None, limit)
-        self._report("free", math.inf, free, meets_goals(free))
-        if not meets_goals(free):
+        self._report("free", math.inf, free, is_at_goals(free))
+        if not is_at_goals(free):
             return direct
+        if not meets_goals(free):  # no limits give it the weight that it lacks
+            self.is_kept = is_at_goals
         family = WiderLimits.around(problem, free)
         lowest: tuple[float, Plan] | None = None
         for s, plan in self._branches(family, free):
@@ -223,8 +228,9 @@ class _Relaxation:
             plan = self.solve_one(self.problem, self.options, states, None, us, allowed, None)
             if self._report(stage, 1.0, plan, plan.converged and not plan.missed_goals):
                 return plan
-            if plan.converged and any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in costs):
-                return None
+            again = plan.converged and any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in costs)
+            if again and not (stage == "held" and pair_clearance_of(self.problem.constraints)):
+                return None  # held before an obstacle it is on the same side of it
             costs += [plan.cost] if plan.converged else []
         return None
 
@@ -326,11 +332,11 @@ class _Relaxation:
             except PlannerError:  # parts that cannot have another duration
                 return None
             direct = self._solve(longer, None, FIRST_ITERATIONS)
-            if self._report("duration", 1.0, direct, direct.converged and meets_goals(direct)):
+            if self._report("duration", 1.0, direct, direct.converged and self.is_kept(direct)):
                 return rounded_duration(longer, 1.0)
             family = WiderLimits(longer, 1.0, None, None)
             wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(longer.duration), FIRST_ITERATIONS)
-            if self._report("duration", math.exp(s), wider, meets_goals(wider)):
+            if self._report("duration", math.exp(s), wider, self.is_kept(wider)):
                 s, plan = self._continuation("duration", family).run(s, wider)
             if s == 0.0:
                 return rounded_duration(longer, 1.0)
@@ -341,7 +347,7 @@ class _Relaxation:
             self._report(stage, math.exp(s), plan, kept)
 
         return Continuation(
-            lambda s: family.at(math.exp(s)), self._solve, meets_goals, report,
+            lambda s: family.at(math.exp(s)), self._solve, self.is_kept, report,
             max_iterations=self.options.max_iterations,
         )  # fmt: skip
 

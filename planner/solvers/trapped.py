@@ -88,3 +88,11 @@ def meets_goals(plan: Plan) -> bool:
     if plan.problem is None or not np.isfinite(plan.xs).all() or plan.status is Status.OUTSIDE_LIMITS:
         return False
     return not missed_goal_message(plan.problem, *plan.judged_motion)
+
+
+def is_at_goals(plan: Plan) -> bool:
+    """Whether a plan meets its goals within its limits, or lacks only weight for them."""
+    if meets_goals(plan):
+        return True
+    within = np.isfinite(plan.xs).all() and plan.status is not Status.OUTSIDE_LIMITS
+    return bool(within and plan.problem is not None and lacks_weight(plan.problem, plan))

@@ -39,25 +39,38 @@ def _pull_back(w, n, F, rows, scale, first_row, stays):
 @inline
 def dense_stage(w, n, dt):
     """H, and h and the costate through F' (Eq. 16), for F = (B | A)."""
-    ndx, width, first, carried = w[W.ndx], w[W.width], w[W.first], w[W.ndx] - w[W.outputs]
+    ndx, width, first = w[W.ndx], w[W.width], w[W.first]
     F, M, G = at(floats(w, W.F), n * ndx * width), floats(w, W.H), floats(w, W.G)
     h, c, P = floats(w, W.h), floats(w, W.costate), first * width + first
-    for i in range(0, carried, WIDTH):
-        C = (G, i * width, width)
-        four_rows(C, (M, P + i, width, 1), (F, 0, width), carried, 1.0, width, C, False)
-    for i in range(carried, ndx):  # outputs have weights of their own, and nothing else in P
-        weight, o = load(M, P + i * width + i), i * width
-        store(M, P + i * width + i, 0.0)
-        for j in range(0, width, WIDTH):
-            store4(G, o + j, weight * load4(F, o + j))
+    if w[W.outputs] > 0:
+        _times_P_with_outputs(w, F)
+    else:
+        for i in range(0, ndx, WIDTH):
+            C = (G, i * width, width)
+            four_rows(C, (M, P + i, width, 1), (F, 0, width), ndx, 1.0, width, C, False)
     for j in range(first, width, WIDTH):
         store4(h, width + j, load4(h, j))
         store4(c, width + j, load4(c, j))
     _pull_back(w, n, F, ndx, 1.0, first, False)
-    end = width if carried == ndx else first + carried  # the columns of outputs are zero
+    end = width if w[W.outputs] == 0 else first + ndx - w[W.outputs]  # the columns of outputs are zero
     for i in range(0, end, WIDTH):
         C = (M, i * width + i, width)
         four_rows(C, (F, i, width, 1), (G, i, width), ndx, 1.0, end - i, C, False)
+
+
+@inline
+def _times_P_with_outputs(w, F):
+    """G = P F, where outputs have weights of their own and nothing else in P; then these are zero in P."""
+    ndx, width, first, carried = w[W.ndx], w[W.width], w[W.first], w[W.ndx] - w[W.outputs]
+    M, G, P = floats(w, W.H), floats(w, W.G), first * width + first
+    for i in range(0, carried, WIDTH):
+        C = (G, i * width, width)
+        four_rows(C, (M, P + i, width, 1), (F, 0, width), carried, 1.0, width, C, False)
+    for i in range(carried, ndx):
+        weight, o = load(M, P + i * width + i), i * width
+        store(M, P + i * width + i, 0.0)
+        for j in range(0, width, WIDTH):
+            store4(G, o + j, weight * load4(F, o + j))
 
 
 @inline

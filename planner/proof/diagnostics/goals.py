@@ -11,7 +11,7 @@ from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import coordinates_of
 from planner.problem.costs.tracking import TrackingCost, tracking_of
 from planner.problem.goals import GoalCheck, goals_of
-from planner.problem.plan import Plan
+from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.tasks.cost import WEIGHT
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, of_file, rounded_up
@@ -30,6 +30,8 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Su
     c = e W / (d - e); so the error e' needs the weight c (d - e') / e'.
     """
     if problem.requirements is not None and problem.requirements.goal is not None:
+        return []
+    if plan.status is Status.INFEASIBLE:  # by its limits, with any weights
         return []
     if proof is None:
         return _of_task(plan, problem)

@@ -96,7 +96,8 @@ def _margin(limits: Limits | None, one: Excess) -> float:
 
 def _efforts(plan: Plan, problem: Problem, run: Replay) -> list[SuggestedFix]:
     limits = problem.limits
-    if limits is not None and limits.control is not None:
+    stated = limits is not None and limits.control is not None
+    if stated and limits.control == MODEL:
         return []
     planned = run.compiled.commands(np.repeat(plan.us, run.substeps, axis=0))
     own = list(efforts_in(run.compiled.model, run.twin.sim_of(run.plan_xs), planned))
@@ -107,6 +108,8 @@ def _efforts(plan: Plan, problem: Problem, run: Replay) -> list[SuggestedFix]:
     low, high = worst.range
     most = float(worst.values[np.argmax(worst.beyond)])
     values = {"actuator": worst.name, "what": worst.what, "most": most, "lower": float(low), "upper": float(high)}
+    if stated:  # limits of the user's own, wider than the file's
+        return [no_fix("limits.control", "limit_beyond_model", **values)]
     return [fix(problem, "limits.control", MODEL, "clamp_unknown", **values)]
 
 

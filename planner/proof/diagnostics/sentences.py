@@ -53,6 +53,8 @@ SENTENCES = {
     "range_exceeded": "{joint} goes {excess} beyond {limit:.4g} at t = {time}, between the knots or in MuJoCo",
     "range_exceeded_in_file": "a joint goes {excess} beyond its range in your file, and not in the plan's model",
     "clamp_unknown": "{actuator} {what}: {most:.3g} of {lower:.3g} to {upper:.3g}",
+    "limit_beyond_model": "{actuator} {what}: {most:.3g} of {lower:.3g} to {upper:.3g}, at which MuJoCo clamps it "
+    "whatever `limits` allow: write a wider range in the model, or no wider limit than its own.",
     "fixed_joints": "equalities and ranges of the file together leave {joint}{others} one value, at which they lean on "
     "their stops, which only MuJoCo has: write wider ranges in the file, or another equality.",
     "equality_gives": "The equalities of your file give: they are springs of {rate:.3g} rad/s there, and exact in the "
