@@ -78,6 +78,8 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
     """Return the value if it is one of the choices; the error lists them and suggests the most similar."""
     if isinstance(value, str) and value in choices:
         return value
+    if not choices:
+        raise PlannerError(f"{name} is {short_repr(value)}, expected no name, since nothing of its kind has one.")
     hint = did_you_mean(value, choices)
     raise PlannerError(f"{name} is {short_repr(value)}, expected one of: {', '.join(choices)}.{hint}")
 

@@ -4,9 +4,10 @@
 
 by SciPy's least_squares with our own Jacobian. r has a position error / metre_scale, a rotation vector log(R_ref' R) /
 turn_scale or, for a direction, the difference of two unit vectors / turn_scale. The small posture term selects a
-solution close to the start. The search begins at the start, then at random configurations. Closure errors / CLOSED are
-residuals too, and the result is projected onto the loop closures. A caller may add residuals (`missing`) and a
-criterion (`short`) that ranks the configurations that reach all targets.
+solution close to the start. The search begins at the start, then at random configurations. Where those that reach the
+targets all fail a further criterion, it begins at random ones again and stays close to each of them. Closure errors
+/ CLOSED are residuals too, and the result is projected onto the loop closures. A caller may add residuals (`missing`)
+and a criterion (`short`) that ranks the configurations that reach all targets.
 """
 
 from __future__ import annotations
@@ -93,18 +94,21 @@ def inverse_kinematics(
     low, high = (mechanism.joint_range if ranges is None else ranges).T
     closed = np.flatnonzero(~free) if mechanism.has_closed_chains else None
 
-    def reached(begin: np.ndarray) -> IKSolution:
-        found = _from(mechanism, targets, q, begin, B, dofs, (low, high), closed, missing)
+    def reached(begin: np.ndarray, near_begin: bool = False) -> IKSolution:
+        found = _from(mechanism, targets, q, begin, B, dofs, (low, high), closed, missing, near_begin)
         lacks = 0.0 if missing is None else max(0.0, float(np.abs(missing(found.q)[0]).max(initial=0.0)) - 1.0)
         return found._replace(short=lacks + (0.0 if short is None else short(found.q)))
 
     found = reached(q)
     rng = np.random.default_rng(count("seed", seed, minimum=0))
-    for _ in range(starts - 1 if len(dofs) else 0):
-        if found.residual < REACHED and found.short <= 0.0:
+    for near_begin in (False, True):
+        for _ in range(starts - 1 if len(dofs) else 0):
+            if found.residual < REACHED and found.short <= 0.0:
+                return found
+            begin = integrate_base(mechanism, q, B @ _random(mechanism, q, dofs, (low, high), rng))
+            found = min(found, reached(begin, near_begin), key=lambda one: one.rank)
+        if found.residual >= REACHED or found.short <= 0.0:
             break
-        other = reached(integrate_base(mechanism, q, B @ _random(mechanism, q, dofs, (low, high), rng)))
-        found = min(found, other, key=lambda one: one.rank)
     return found
 
 
@@ -143,9 +147,12 @@ def _directions(mechanism: Mechanism, free: np.ndarray) -> tuple[np.ndarray, np.
 def _from(
     mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, begin: np.ndarray, B: np.ndarray, dofs: np.ndarray,
     ranges: tuple[np.ndarray, np.ndarray], closed: np.ndarray | None,
-    missing: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None,
+    missing: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None, near_begin: bool,
 ) -> IKSolution:  # fmt: skip
-    """The minimum from `begin` (nq,). `closed`: degrees of freedom fixed in loop closure, None without loops."""
+    """The minimum from `begin` (nq,), close to it or to q.
+
+    `closed`: degrees of freedom fixed in loop closure, None without loops.
+    """
     space, pad = mechanism.space, np.zeros(mechanism.space.ndx - mechanism.nv)
 
     def of_targets(at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -185,6 +192,7 @@ def _from(
     x = np.concatenate([begin, np.zeros(space.nx - mechanism.nq)])
     x0 = np.concatenate([q, np.zeros(space.nx - mechanism.nq)])
     y = np.clip(space.difference(x, x0)[dofs], low, high)
+    center = y if near_begin else np.zeros(len(dofs))
     last: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}  # SciPy evaluates the Jacobian where it evaluated r
 
     def both(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +204,8 @@ def _from(
     from scipy.optimize import least_squares  # 0.4 s that `planner run` need not pay
 
     done = least_squares(
-        lambda y: np.concatenate([both(y)[0], POSTURE_WEIGHT * y]), y, lambda y: np.concatenate([both(y)[1], lean]),  # pyright: ignore
+        lambda y: np.concatenate([both(y)[0], POSTURE_WEIGHT * (y - center)]), y,
+        lambda y: np.concatenate([both(y)[1], lean]),  # pyright: ignore
         bounds=(low, high), xtol=1e-9, ftol=1e-9, gtol=1e-9, max_nfev=100,
     )  # fmt: skip
     return largest(done.x)._replace(distance=float(np.linalg.norm(done.x)))

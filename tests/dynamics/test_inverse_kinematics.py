@@ -84,3 +84,23 @@ def test_couplings_are_kept():
     at = hand(0.8, 0.4)
     found = inverse_kinematics(machine, [Target("hand", np.array([at[0], 0.0, at[1]]))], [0.2, 0.1])
     np.testing.assert_allclose(found.q, [0.8, 0.4], atol=1e-4)
+
+
+THREE_LINKS = """<mujoco><worldbody><body><joint name="a" axis="0 -1 0" range="-180 180"/>
+  <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.02"/><body pos="0.4 0 0"><joint name="b" axis="0 -1 0" range="-180 180"/>
+  <geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.02"/><body pos="0.4 0 0"><joint name="c" axis="0 -1 0" range="-180 180"/>
+  <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/><site name="tip" pos="0.3 0 0"/></body></body></body></worldbody>
+  <actuator><motor joint="a"/></actuator></mujoco>"""  # noqa: E501 - the model as it is
+
+
+def test_a_criterion_that_poses_near_the_start_fail_is_met_by_others():
+    """A hand in a plane leaves one of three joints open; the 0.1 rad of it that pass are far from where the arm is."""
+    arm = planner.Mechanism.from_mjcf(THREE_LINKS)
+    wanted = np.array([-1.0, 1.8, -0.6])
+    target = Target("tip", frame_pose(arm, wanted, "tip")[:3, 3])
+    found = inverse_kinematics(
+        arm, [target], [0.9, 0.3, 0.2], short=lambda q: max(0.0, abs(q[0] - wanted[0]) - 0.05)
+    )  # fmt: skip
+    assert found.residual < 0.1
+    assert found.short == 0.0
+    assert abs(found.q[0] - wanted[0]) <= 0.05

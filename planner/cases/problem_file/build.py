@@ -356,7 +356,8 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         dynamics, cost, x0, recipe=Recipe(NAME, table, build),
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, constraints=kept, goal_specs=wanted if cyclic is None else (),
-        tolerance=None if tasked else table["tolerance"] or {},  # the default ones count, too expected_reduction_tolerance=DECREASE,
+        tolerance=None if tasked else table["tolerance"] or {},  # by default those of all goals, as stated ones
+        expected_reduction_tolerance=DECREASE,
         periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic.image, cycle),
         actual_reduction_tolerance=_gain(mechanism, cycle),
     )  # fmt: skip
