@@ -170,11 +170,17 @@ def along_ground(mechanism: Mechanism, q: np.ndarray, free: np.ndarray, links: n
     """(n, m) orthonormal combinations of the directions free (nv, n) that neither lift nor tilt the links."""
     if not np.any(mechanism.gravity):
         return np.zeros((free.shape[1], 0))
-    up = -mechanism.gravity / np.linalg.norm(mechanism.gravity)
+    return along_plane(mechanism, q, free, links, -mechanism.gravity / np.linalg.norm(mechanism.gravity))
+
+
+def along_plane(
+    mechanism: Mechanism, q: np.ndarray, free: np.ndarray, links: np.ndarray, normal: np.ndarray
+) -> np.ndarray:  # fmt: skip
+    """(n, m) orthonormal combinations of the directions free (nv, n) that move links along planes of a normal (3,)."""
     rows = []
     for link in links:
         J = jacobian(mechanism, q, Frame(int(link), np.eye(4)))
-        rows += [up[None] @ J[:3], J[3:] - np.outer(up, up @ J[3:])]
+        rows += [normal[None] @ J[:3], J[3:] - np.outer(normal, normal @ J[3:])]
     _, sizes, directions = np.linalg.svd(np.vstack(rows) @ free)
     return directions[int(np.sum(sizes > RANK * sizes.max(initial=0.0))) :].T
 

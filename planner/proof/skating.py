@@ -1,8 +1,10 @@
-"""Skating: feet that slide along the ground, beside how far the machine travels.
+"""Skating: feet that slide along the ground, beside the way that they go on it.
 
     slip of a foot = integral of |v_t| over the time in which it bears load,  v_t = tangential part of J qd
 
-with J the Jacobian of the material point in contact, so that a foot that rolls does not slip.
+with J the Jacobian of the material point in contact, so that a foot that rolls does not slip. Its way is that of its
+centre along the ground from each knot at which it bears load to the next: a step counts from where it leaves the ground
+to where it lands, however it swings, and a trunk that sways does not count.
 """
 
 from __future__ import annotations
@@ -14,33 +16,51 @@ from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import LinkPlaces, center_of_mass
 from planner.dynamics.statics import STRIDE
 from planner.model.capabilities import capabilities_of, stands_on_ground
+from planner.model.mechanism import Frame, Mechanism
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 
-MAX_SHARE = 0.25  # of the travel: slip above it is named
+MAX_SHARE = 0.25  # of a foot's way: slip above it is named
+ROLL_SHARE = 0.1  # of the height of the centre of mass: slip below it, and below STRIDE, is that of feet that deform
 
 
 def skating(plan: Plan, problem: Problem) -> tuple[str, ...]:
-    """A phrase about the foot that slips most, if that is more than MAX_SHARE of the travel, and than STRIDE."""
+    """A phrase about the foot that slips most of those whose slip is above allowed_slip and MAX_SHARE of their way."""
     mechanism = capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not stands_on_ground(mechanism) or not np.isfinite(plan.xs).all():
         return ()
     qs, qds = plan.xs[:, : mechanism.nq], plan.xs[:, mechanism.velocities]
     forces = contact_forces(mechanism, qs, qds).forces
-    slip = np.zeros(len(mechanism.contacts))
+    slip, way = np.zeros((2, len(mechanism.contacts)))
     for k, contact in enumerate(mechanism.contacts):
         bears = np.flatnonzero(forces[:, k].any(axis=1))
         belt = np.any(contact.plane.velocity) or contact.plane.slide >= 0
         if not bears.size or belt or contact.law.friction == 0.0:
             continue
-        at = LinkPlaces(mechanism, qs[bears])
-        v, n = PlaneContactKinematics(at, contact, qds[bears]).v, contact.plane.normal
-        slip[k] = problem.dynamics.dt * np.linalg.norm(v - (v @ n)[:, None] * n, axis=1).sum()
-    if slip.max() <= STRIDE:
+        at, n = LinkPlaces(mechanism, qs[bears]), contact.plane.normal
+        v = PlaneContactKinematics(at, contact, qds[bears]).v
+        steps = np.diff(at.pose(Frame.at(contact.link, contact.centre))[:, :3, 3], axis=0)
+        slip[k] = problem.dynamics.dt * _along(v, n).sum()
+        way[k] = _along(steps, n).sum()
+    skates = (slip > allowed_slip(mechanism, qs[0])) & (slip > MAX_SHARE * way)
+    if not skates.any():
         return ()
-    centres = center_of_mass(mechanism, qs)
-    travel = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
-    worst = int(np.argmax(slip))
-    if slip[worst] <= MAX_SHARE * travel:
-        return ()
-    return (f"{mechanism.contacts[worst].name} slides {slip[worst]:.2g} m while the machine travels {travel:.2g} m",)
+    worst = int(np.argmax(np.where(skates, slip, 0.0)))
+    name = mechanism.contacts[worst].name
+    return (f"{name} slides {slip[worst]:.2g} m while it goes {way[worst]:.2g} m along the ground",)
+
+
+def allowed_slip(mechanism: Mechanism, q: np.ndarray) -> float:
+    """The slip, m, that is not named, of a machine at q (nq,): ROLL_SHARE of its height, at most STRIDE.
+
+    The height is that of the centre of mass from the lowest contact, in the air too.
+    """
+    ground = contact_forces(mechanism, q, np.zeros(mechanism.nv))
+    lowest = int(np.argmax(ground.depths))
+    height = mechanism.contacts[lowest].plane.normal @ (center_of_mass(mechanism, q) - ground.points[lowest])
+    return min(STRIDE, ROLL_SHARE * abs(float(height)))
+
+
+def _along(vectors: np.ndarray, n: np.ndarray) -> np.ndarray:
+    """(K,) the lengths of vectors (K, 3) along a plane of normal n (3,)."""
+    return np.linalg.norm(vectors - np.outer(vectors @ n, n), axis=1)

@@ -1,6 +1,7 @@
 """Machines that have to leave or move their feet: a monopod that goes forward, jumps, and says that it skates."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from planner.problem.costs.frame import CLEARANCE, SlipCost
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, SLIP_SPEED, STANCE_TOLERANCES, WAY_SHARE
 from planner.problem.reaching_cost import with_slip
+from planner.proof.skating import skating
 
 MONOPOD = """<mujoco model="monopod"><option timestep="0.002"/>
 <worldbody><geom name="floor" type="plane" size="0 0 1"/>
@@ -68,6 +70,42 @@ def test_a_foot_that_is_dragged_with_little_load_is_named(forward):
     """Without a cost of slip nothing but friction keeps the foot from being dragged."""
     dragged = planner.solve(forward.recipe.rebuilt(weights={"slip": 0.0}, resolved=None))
     assert "foot' slides 0." in planner.prove(dragged, rollouts=0).headline
+
+
+SMALL = (
+    MONOPOD.replace("0 0 0.6", "0 0 0.2").replace("-.25", "-.08").replace("-.55", "-.15").replace("-.57", "-.16")
+    .replace('size=".12 .1 .08"', 'size=".04 .03 .03"')
+)  # fmt: skip
+
+
+def phrases(model, moves, dt=0.01):
+    """What is said of a machine that stands at first and then moves by (dx, dz), m, in turn, in stages of 0.01 m."""
+    mechanism = planner.Mechanism.from_mjcf(model, contacts="ground")
+    states = [planner.dynamics.static_equilibrium(mechanism, mechanism.home)]
+    for move in moves:
+        stages = max(1, round(np.linalg.norm(move) / 0.01))
+        for _ in range(stages):
+            state = states[-1].copy()
+            state[:2] += np.array(move) / stages
+            state[mechanism.velocities][:2] = np.array(move) / (stages * dt)
+            states.append(state)
+    problem = SimpleNamespace(dynamics=planner.RigidBodyDynamics(mechanism, dt=dt))
+    return skating(SimpleNamespace(xs=np.array(states)), problem)
+
+
+def test_slip_is_named_by_the_size_of_the_machine():
+    """3 cm: of a centre of mass 0.6 m above the ground less than 5 cm, of one at 0.2 m more than a tenth of it."""
+    assert phrases(MONOPOD, [(0.03, 0.0)]) == ()
+    assert phrases(SMALL, [(0.01, 0.0)]) == ()
+    assert "slides 0.03 m while it goes 0.03 m" in phrases(SMALL, [(0.03, 0.0)])[0]
+
+
+def test_slip_is_beside_the_way_of_the_foot():
+    """A machine that bounces in place gets nowhere by that; one that steps does, by its steps and not by its swings."""
+    up, down, step, back = (0.0, 0.4), (0.0, -0.4), (0.4, 0.0), (-0.3, 0.0)
+    assert "slides 0.1 m while it goes 0.1 m" in phrases(MONOPOD, [(0.1, 0.0), up, down])[0]
+    assert phrases(MONOPOD, [(0.1, 0.0), up, step, down]) == ()
+    assert "slides 0.1 m while it goes 0.2 m" in phrases(MONOPOD, [(0.1, 0.0), up, step, back, down])[0]
 
 
 def test_its_foot_is_lifted(forward):

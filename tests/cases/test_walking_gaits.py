@@ -195,6 +195,44 @@ def test_goals_of_frames_have_a_gait_too(tmp_path):
     assert np.all(swings.any(axis=0))  # of 0.055 m, at the middle of each swing
 
 
+TURNED = f'''model = "{SCENE}"
+start = "stand"
+gait = "trot"
+duration = 2.0
+[[goal]]
+frame = "trunk"
+position = [{{x}}, 0, {{z}}]
+orientation = {{{{ yaw = {{yaw}} }}}}
+'''
+
+
+@pytest.mark.parametrize(("x", "yaw"), [(0.05, 0.0), (0.0, 30.0), (0.1, 90.0)])
+def test_feet_go_with_the_trunk_to_a_goal_within_their_reach(tmp_path, x, yaw):
+    """The stance of the goal is that of the start, moved along the ground by the trunk's displacement and yaw."""
+    problem = loaded(tmp_path, TURNED.format(x=x, z=0.31, yaw=yaw))
+    mechanism, rows = problem.dynamics.mechanism, tracking_of(problem.cost).x_ref
+    first, last = feet_of(mechanism, rows)[[0, -1]]
+    c, s = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
+    expected = np.array([x, 0.0]) + (first[:, :2] - rows[0, :2]) @ np.array([[c, s], [-s, c]])
+    np.testing.assert_allclose(last[:, :2], expected, atol=5e-3)  # as exactly as a goal
+    np.testing.assert_allclose(last[:, 2], first[:, 2], atol=1e-3)
+    assert rows[-1, 2] == pytest.approx(0.31, abs=5e-3)  # the legs bend for it
+    without = loaded(tmp_path, TURNED.format(x=x, z=0.31, yaw=yaw).replace('gait = "trot"\n', ""))
+    if (x, yaw) != (0.1, 90.0):  # which legs do not reach from where they stand
+        stays = feet_of(mechanism, tracking_of(without.cost).x_ref)[-1]
+        np.testing.assert_allclose(stays, first, atol=2e-3)
+
+
+def test_a_foot_that_no_phase_lifts_stays(tmp_path):
+    lines = [f"[[phase]]\nuntil = {t}\nstand = {list(stand)}\n" for t, stand in ((0.5, LEGS), (1.2, DIAGONAL))]
+    lines.append(f"[[phase]]\nstand = {list(LEGS)}\n")
+    text = TURNED.format(x=0.05, z=0.32, yaw=0.0).replace('gait = "trot"\n', "")
+    problem = loaded(tmp_path, text.replace("[[goal]]", "".join(lines) + "[[goal]]"))
+    first, last = feet_of(problem.dynamics.mechanism, tracking_of(problem.cost).x_ref)[[0, -1]]
+    moved = (last - first)[:, 0]
+    np.testing.assert_allclose(moved, [0.0, 0.05, 0.05, 0.0], atol=5e-3)  # in the order of FEET
+
+
 @pytest.mark.parametrize(
     ("gait", "message"),
     [

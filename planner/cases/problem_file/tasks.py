@@ -133,7 +133,9 @@ def resolve_task(
     if limits is not None:
         ranges = limits.position_ranges(dynamics)
     kept = PoseConstraints(constraints, dynamics, x0, N) if constraints else None
-    poses_for = partial(poses_of, seed=table["seed"], check=RESOLVED not in table, constraints=kept)
+    steps = steps_of(table)
+    stepping = steps.stepping_links(dynamics.mechanism, x0) if steps is not None else frozenset()
+    poses_for = partial(poses_of, seed=table["seed"], check=RESOLVED not in table, constraints=kept, steps=stepping)
     task_from = partial(task_of, dynamics.mechanism, follows=follows, N=N, dt=dynamics.dt, tolerance=table["tolerance"])
     if waypoints:
         evenly = task_from(dated_evenly(goals, waypoints, N))
@@ -150,7 +152,6 @@ def resolve_task(
             poses = with_via_poses(poses, free(apart.constraint.of), table["seed"])
     if RESOLVED not in table:
         check_flight(task, poses, dynamics, ranges)
-    steps = steps_of(table)
     stands = steps is not None or _stands_all_along(table, task, poses)
     rows = reference_states(task, resting(poses, 1.0 - MOVING_SHARE) if stands else poses, x0)
     if steps is None:

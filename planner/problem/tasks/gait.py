@@ -124,6 +124,11 @@ class Gait:
         xs[1:-1, mechanism.velocities] = space.difference(xs[2:], xs[:-2])[:, :nv] / (2.0 * dt)
         return xs, f"Gait: {said}, steps of up to {longest_step(places):.2g} m, feet lifted by {lift:.2g} m."
 
+    def stepping_links(self, mechanism: Mechanism, x: np.ndarray) -> frozenset[int]:
+        """Links of the feet of a machine that stands at x (nx,) that swing at some time."""
+        stay = set.intersection(*(set(phase.stand) for phase in self.phases)) if self.phases else set()
+        return frozenset(foot.link for foot in standing_feet(mechanism, x) if foot.name not in stay)
+
     def lift_of(self, height: float) -> float:
         """m, by which feet are lifted, of a machine whose centre of mass has a height, m."""
         return min(CLEARANCE, 0.2 * height) if self.lift is None else self.lift

@@ -17,6 +17,7 @@ from planner.model.capabilities import unreached_dofs
 from planner.model.mechanism import SCREW, Frame
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.collision_free_path import CollisionChecker
+from planner.problem.tasks.footholds import carried_stance
 from planner.problem.tasks.goal import Follow
 from planner.problem.tasks.pose_constraints import FOOT_SCALE, Feet, PoseConstraints, ResidualAndJacobian, both, feet_of
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
@@ -43,6 +44,16 @@ class _Search(NamedTuple):
     checker: CollisionChecker | None
     constraints: PoseConstraints | None
     feet: Feet | None
+    start: np.ndarray
+    steps: frozenset[int]
+
+
+class _Way(NamedTuple):
+    """How inverse kinematics may meet targets."""
+
+    mask: np.ndarray  # (nv,) bool, degrees of freedom that may move
+    feet: ResidualAndJacobian | None  # what keeps feet on the ground
+    begin: np.ndarray  # (nq,) the configuration from which it searches
 
 
 class StageTargets(NamedTuple):
@@ -56,20 +67,23 @@ class StageTargets(NamedTuple):
 def poses_of(
     task: Task, dynamics: RigidBodyDynamics, x0: np.ndarray, ranges: np.ndarray, seed: int = 0, check: bool = True,
     checker: CollisionChecker | None = None, constraints: PoseConstraints | None = None,
+    steps: frozenset[int] = frozenset(),
 ) -> Poses:  # fmt: skip
     """The configurations of a task, each found from the previous one.
 
     Args:
         task: Goals and paths.
-        dynamics: The machine. Where a goal moves a foot of it, it stands on the others. Else unactuated joints move
-            only if the actuated ones do not reach the goal: its feet stay where the start has them, or if that is too
-            near stand elsewhere, or leave the ground at a via point.
+        dynamics: The machine. Where a goal moves a foot of it, it stands on the others. Else a machine that steps is
+            carried along the ground with its stance. Else, or where its legs do not meet the goal from there,
+            unactuated joints move only if the actuated ones do not reach it: feet stay where the start has them, or if
+            that is too near stand elsewhere, or leave the ground at a via point.
         x0: (nx,) start.
         ranges: (nv, 2) rad or m, of hinges and slides.
         seed: Of the random starts of inverse kinematics.
         check: Whether to refuse unreachable goals.
         checker: Collision checker; None for no avoidance.
         constraints: On poses; None for none.
+        steps: Links of the feet that step, of a gait or of phases; by default none.
 
     Raises:
         PlannerError: An unreachable goal, goals that contradict each other or a constraint, or a path from t = 0 that
@@ -77,7 +91,7 @@ def poses_of(
     """
     mechanism = task.mechanism
     q = x0[: mechanism.nq]
-    search = _Search(dynamics, ranges, seed, check, checker, constraints, feet_of(mechanism, q))
+    search = _Search(dynamics, ranges, seed, check, checker, constraints, feet_of(mechanism, q), q, steps)
     stages, found, at_rest = [0], [q], [not np.any(x0[mechanism.velocities])]
     if check:
         for path in task.follows:
@@ -176,10 +190,10 @@ def _pose(
         missing: ResidualAndJacobian | None = None,
     ) -> tuple[np.ndarray, float]:  # fmt: skip
         found = None
-        for mask, feet in _free_dofs(search, targets, joints, any(one.goal.through for one in here)):
+        for mask, feet, begin in _ways(search, q, targets, joints, any(one.goal.through for one in here)):
             further = both(missing, feet) if missing is not None and feet is not None else missing or feet
             other = inverse_kinematics(
-                mechanism, targets, q, ranges=ranges, free=mask, seed=search.seed, short=short,
+                mechanism, targets, begin, ranges=ranges, free=mask, seed=search.seed, short=short,
                 missing=further, starts=None if here or missing is None else PATH_STARTS,
             )  # fmt: skip
             if feet is not None:
@@ -262,15 +276,16 @@ def _errors(task: Task, q: np.ndarray, target: Target) -> tuple[float, float]:
     return float(np.linalg.norm(r[~turns])), float(np.linalg.norm(r[turns]))
 
 
-def _free_dofs(
-    search: _Search, targets: Sequence[Target], joints: dict[int, float], passed: bool
-) -> Sequence[tuple[np.ndarray, ResidualAndJacobian | None]]:  # fmt: skip
-    """Masks (nv,) of degrees of freedom that may move, each with the residuals of feet, in the order to try them.
+def _ways(
+    search: _Search, q: np.ndarray, targets: Sequence[Target], joints: dict[int, float], passed: bool
+) -> list[_Way]:
+    """How targets may be met from a configuration q (nq,), in the order to try it.
 
-    Where the targets move some feet, all, with the others where they are and those elsewhere on the ground, or in the
-    air and the others carrying the machine. Then the actuated ones; all, with feet that stay; all, with feet elsewhere
-    on the ground; and all without feet, in the air or at a via point (`passed`). All of them for closed chains. Those
-    with a goal in `joints` are fixed, and what nothing acts on.
+    Where the targets move some feet all joints move, with the other feet where they are and those elsewhere on the
+    ground, or in the air and the others carrying the machine. Then, of a machine that steps, all, with its stance
+    carried along. Then the actuated ones; all, with feet that stay; all, with feet elsewhere on the ground; and all
+    without feet, in the air or at a via point (`passed`). All of them for closed chains. Those with a goal in `joints`
+    are fixed, and what nothing acts on.
     """
     dynamics, mechanism = search.dynamics, search.dynamics.mechanism
     prescribed = prescribed_dofs_of(dynamics)
@@ -279,22 +294,25 @@ def _free_dofs(
     everything = np.ones(mechanism.nv, dtype=bool)
     feet = search.feet
     if mechanism.has_closed_chains:
-        masks = [(everything, feet.fixed if feet is not None and feet.carry else None)]
+        ways = [_Way(everything, feet.fixed if feet is not None and feet.carry else None, q)]
     else:
         reached = everything if feet is None else ~unreached_dofs(mechanism, prescribed)
-        masks: list[tuple[np.ndarray, ResidualAndJacobian | None]] = [(actuated, None)]
+        ways = [_Way(actuated, None, q)]
         if feet is not None and feet.carry:
-            masks.append((everything, feet.fixed))
+            ways.append(_Way(everything, feet.fixed, q))
+            if stance := carried_stance(feet, search.steps, search.start, q, targets):
+                ways.insert(0, _Way(everything, stance.feet.fixed, stance.q))
             frames = [one.frame if isinstance(one.frame, Frame) else mechanism.frame(one.frame) for one in targets]
             targeted = np.isin(feet.links, [frame.link for frame in frames])
             if targeted.any() and not targeted.all() and not passed:
-                masks = [(everything, feet.stepped(targeted)), (everything, feet.lifted(targeted)), *masks]
+                ways = [*(_Way(everything, rows(targeted), q) for rows in (feet.stepped, feet.lifted)), *ways]
         if feet is not None:
-            masks.append((reached, feet.on_ground))
+            ways.append(_Way(reached, feet.on_ground, q))
         if passed or feet is None:
-            masks.append((reached, None))
-        masks = masks[:1] if actuated.all() else masks
-    return [(mask & ~np.isin(np.arange(mechanism.nv), list(joints)), rows) for mask, rows in masks]
+            ways.append(_Way(reached, None, q))
+        ways = ways[:1] if actuated.all() else ways
+    others = ~np.isin(np.arange(mechanism.nv), list(joints))
+    return [one._replace(mask=one.mask & others) for one in ways]
 
 
 def _on_ground(
