@@ -289,7 +289,7 @@ def _refinement_of(row: dict[str, Any]) -> Refinement:
 
 def _missing(plan: Plan, proof: Proof, budget: WorkBudget) -> str:
     """Why a run does not measure what a plan bears, which can take minutes of a motion that diverges; or ""."""
-    if not (plan.success or proof.passed):
+    if not (plan.converged or proof.passed):
         return "the solve did not succeed; planner prove measures it"
     needed = 0.0 if plan.problem is None else MEASURED_AFTER * work_of_proof(plan.problem)
     return "no work was left; planner prove measures it" if budget.exhausted or budget.left < needed else ""

@@ -110,7 +110,7 @@ def solve_for(
         return _over_durations(problem, weights, between, tolerance, before, callback, options)
 
     def value(plan: Plan) -> float:
-        return np.inf if not plan.success else float(plan.t[-1]) if alone else plan.cost
+        return np.inf if not plan.converged else float(plan.t[-1]) if alone else plan.cost
 
     if free_waypoints(problem):
         return best_waypoints(problem, solved, value, options["budget"])

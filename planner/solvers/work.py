@@ -121,8 +121,8 @@ class WorkBudget:
         self._count(iterations * problem.N * work_of_stage(problem, in_numpy), self._purpose)
 
     def charge_warm_start(self, problem: Problem) -> None:
-        """Count a warm start: rollouts that track a plan, and the gains for them, stage by stage in NumPy."""
-        self._count(problem.N * IN_NUMPY, self._purpose)
+        """Count a warm start: a few rollouts that track a plan, and the gains for them, stage by stage in NumPy."""
+        self._count(2.0 * problem.N * IN_NUMPY, self._purpose)
 
     def charge_proof(self, problem: Problem) -> None:
         """Count a proof of a plan of a problem."""

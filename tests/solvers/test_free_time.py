@@ -10,8 +10,11 @@ from scipy.optimize import root
 
 import planner
 from planner import Limits, cases
+from planner.problem.plan import Status
+from planner.proof.diagnostics import suggested_fixes
 from planner.solvers import free_time
 from planner.solvers.free_time import retimed
+from planner.solvers.work import WorkBudget
 
 
 def test_a_cart_in_least_time_is_bang_bang():
@@ -97,3 +100,15 @@ def test_too_short_a_time_is_said():
     plan = planner.solve_for(replace(cart(control=1.0), limits=Limits(control=1.0)), "time", durations=(0.5, 1.0))
     assert not plan.success
     assert plan.t[-1] == pytest.approx(1.0)
+
+
+def test_a_search_that_its_work_cuts_says_what_to_write():
+    """The plan is the best so far; the status, the record and the advice are those of the budget."""
+    whole = planner.solve_for(arm(20), {"effort": 1.0, "time": 4.0}, durations=(1.0, 3.0))
+    budget = WorkBudget(2e-3)
+    cut = planner.solve_for(arm(20), {"effort": 1.0, "time": 4.0}, durations=(1.0, 3.0), budget=budget)
+    assert len(cut.options["tried"]) < len(whole.options["tried"])
+    assert cut.status is Status.WORK_LIMIT
+    assert cut.options["work"] == 2e-3
+    assert "search_cut" in [one.code for one in suggested_fixes(cut)]
+    assert {one.key for one in suggested_fixes(cut)}.isdisjoint({"starts", "duration"})

@@ -249,8 +249,9 @@ def _with_jerk_weights(cost: Any, own: StateSpace, space: StateSpace) -> Cost:
     if k is None:
         raise PlannerError("the cost has no TrackingCost, expected one for jerk: TrackingCost(...) + your own cost.")
     Q = sum(term.weights(space) for term in jerk)
-    extended = [others[k].augmented(own, space, Q), *(extended_cost(term, own, space) for term in others[k + 1 :])]
-    costs = [*(extended_cost(term, own, space) for term in others[:k]), *extended]
+    track: TrackingCost = others[k]
+    costs = [extended_cost(term, own, space) for term in others if term is not track]
+    costs.insert(k, track.augmented(own, space, Q))
     return costs[0] if len(costs) == 1 else SumCost(*costs)
 
 

@@ -32,7 +32,7 @@ from planner.problem.problem import Problem
 from planner.problem.progress import control_at_bound, control_name, sentence_of, state_at_bound, state_outside
 from planner.problem.rediscretize import rounded_duration
 from planner.proof.diagnostics.min_jerk import MinJerkMotion, machine_of, smooth_motion
-from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, seeks_duration
 from planner.proof.verdict import Proof
 
 MAX_LENGTHENING = 10.0  # upper limit of the new duration, relative
@@ -62,7 +62,7 @@ def passing_duration(plan: Plan, problem: Problem, proof: Proof | None) -> list[
 
 def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """The duration of a feasible minimum-jerk trajectory, for a plan that has not met its goal or its limits."""
-    if problem.limits is None or not _short_of_force(plan, problem, proof):
+    if problem.limits is None or seeks_duration(plan) or not _short_of_force(plan, problem, proof):
         return []
     machine = machine_of(problem)
     if machine is None:

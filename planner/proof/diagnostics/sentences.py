@@ -69,6 +69,7 @@ SENTENCES = {
     "stage",
     "guess_runs_away": "the first guess rolls out to infinite states",
     "more_iterations": "after {iterations} iterations the next is still expected to gain {left:.1e} of the cost",
+    "search_cut": "the plan is the best of {tried} durations; the search for a better one was cut",
     "stalled": "the cost stays at {cost:.5g} and the norm of its gradient at {gradient:.2g}; other first guesses end "
     "elsewhere",
     "not_a_minimum": "The solve ended, but one more step is expected to take {left:.3g} % off the cost: go on from "

@@ -10,7 +10,15 @@ from planner.base.measured import Quantity
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.stage import rates_at_start, rounded_step
-from planner.proof.diagnostics.suggested_fix import ITERATIONS, SuggestedFix, fix, no_fix, of_file, rounded_up
+from planner.proof.diagnostics.suggested_fix import (
+    ITERATIONS,
+    SuggestedFix,
+    fix,
+    no_fix,
+    of_file,
+    rounded_up,
+    seeks_duration,
+)
 from planner.proof.verdict import Proof
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 
@@ -40,6 +48,9 @@ def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[S
     """Number of iterations, extrapolated from the trend of the decrease."""
     if plan.status not in (Status.MAX_ITERATIONS, Status.WORK_LIMIT):
         return []
+    if seeks_duration(plan):  # which the budget cut, or its last solve
+        more = rounded_up(2.0 * plan.options["work"]) if plan.status is Status.WORK_LIMIT else None
+        return [] if more is None else [fix(problem, "work", more, "search_cut", tried=len(plan.options["tried"]))]
     lines = [line for line in plan.history if line.step > 0.0]
     needed = iterations_needed(lines, plan.cost)
     if needed is None:
@@ -54,7 +65,7 @@ def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[S
 def other_guesses(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Several first guesses, for a solve that did not converge from one."""
     ended = not plan.status.cut and plan.status is not Status.NO_DESCENT
-    if ended or problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1:
+    if ended or seeks_duration(plan) or problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1:
         return []
     return [fix(problem, "starts", STARTS, "stalled", cost=plan.cost, gradient=plan.gradient_norm)]
 

@@ -10,6 +10,7 @@ from typing import Any
 from planner.base.arguments import toml_value
 from planner.base.data_files import finite
 from planner.base.measured import Diagnostic, Quantity
+from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import PROBLEM_FILE
 from planner.proof.diagnostics.sentences import SENTENCES, TRIED
@@ -79,6 +80,11 @@ def fix(problem: Problem, key: str, value: Any, code: str, **values: Any) -> Sug
 def no_fix(key: str, code: str, **values: Any) -> SuggestedFix:
     """A finding that no value of the key resolves."""
     return SuggestedFix(code, values, key)
+
+
+def seeks_duration(plan: Plan) -> bool:
+    """Whether it is of a search over durations, which solves at many."""
+    return "durations" in plan.options
 
 
 def of_file(problem: Problem) -> bool:

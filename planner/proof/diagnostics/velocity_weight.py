@@ -33,7 +33,7 @@ def penalize_velocity(plan: Plan, problem: Problem, proof: Proof | None) -> list
     worst, way = int(np.argmax(beyond)), float(np.abs(ends[1] - ends[0]).max())
     low, high = machine.joint_range[:, 0], machine.joint_range[:, 1]
     outside = bool(np.any((q < low) | (q > high)))
-    if beyond[worst] <= MAX_EXCURSION * way or (plan.success and not outside):
+    if beyond[worst] <= MAX_EXCURSION * way or (plan.converged and not outside):
         return []
     name = machine.joint_names[worst] or f"joint {worst}"
     return straightened(problem, "excursion", joint=name, excess=float(beyond[worst]))

@@ -102,7 +102,7 @@ def _verdict(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> 
         reason, words = "The plan was not replayed in MuJoCo, so nothing is proven.", ""
     else:
         reason, words = "There is no finite plan that could be replayed.", ""
-    doubt = "" if plan.success else f"<p>The solver did not converge: {escape(plan.message)}</p>"
+    doubt = "" if plan.converged else f"<p>The solver did not converge: {escape(plan.message)}</p>"
     advice = re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(" Or: ".join(map(str, fixes))))
     to_pass = f"<p>To pass: {advice}</p>" if fixes else ""
     more = f"<p>{escape(reason)}</p>{to_pass}{doubt}{_unchecked(proof)}"
