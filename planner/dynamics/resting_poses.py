@@ -89,7 +89,7 @@ def saddle_of_energy(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> t
 
 def _bear_load(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
     """(K,) bool, the contacts that push at a state x (nx,) at rest."""
-    return contact_forces(mechanism, x[: mechanism.nq], np.zeros(mechanism.nv)).forces.any(axis=1)
+    return np.any(contact_forces(mechanism, x[: mechanism.nq], np.zeros(mechanism.nv)).forces, axis=1)
 
 
 def extended(part: np.ndarray, size: int) -> np.ndarray:
