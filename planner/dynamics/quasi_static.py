@@ -20,13 +20,14 @@ from planner.dynamics.assembly import feasible_directions, tangent_basis
 from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
 from planner.dynamics.joint_forces import actuator_lengths, actuator_moments, gains_at, passive_forces
 from planner.model.actuators import INTEGRATOR
-from planner.model.capabilities import capabilities_of
+from planner.model.capabilities import capabilities_of, thrusters, unactuated_basis
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
 
 FORCE_FIT_WEIGHT = 1e-3  # weight of the deviation from the contact law's forces, relative to 1 of the force balance
 _RANK_TOLERANCE = 1e-10  # relative to the largest singular value: controls without effect
+_BALANCED = 1e-6  # of the weight, N or N m
 _CONVERGED = 1e-12  # largest entry of a Gauss-Newton step at convergence, in each coordinate's unit
 
 
@@ -116,6 +117,17 @@ def _cone_edges(contact: Any) -> np.ndarray:
         return n[:, None]
     across = np.linalg.svd(n[None])[2][1:]
     return np.array([n + side * contact.law.friction * t for t in across for side in (-1.0, 1.0)]).T
+
+
+def carried_by_thrusters(mechanism: Mechanism) -> bool:
+    """Whether thrusters, with forces of any size, balance the weight of the machine as it is drawn."""
+    q, free = mechanism.home[: mechanism.nq], unactuated_basis(mechanism)
+    reach = free.T @ actuator_moments(mechanism, q)[thrusters(mechanism)].T
+    if not reach.any():
+        return False
+    missing = free.T @ bias(mechanism, q, np.zeros(mechanism.nv))
+    left = missing - reach @ np.linalg.lstsq(reach, missing, rcond=None)[0]
+    return bool(np.abs(left).max() <= _BALANCED * np.abs(missing).max())
 
 
 def weight(mechanism: Mechanism) -> float:

@@ -15,7 +15,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics.algorithms import bias
 from planner.dynamics.assembly import assembled, closed_chains, feasible_directions
 from planner.dynamics.contacts import generalized_forces, stop_depth
-from planner.dynamics.statics import newton_step
+from planner.dynamics.resting_poses import newton_step
 from planner.model.mechanism import Mechanism
 
 STEPS, HALVINGS = 100, 20

@@ -5,8 +5,9 @@ At rest the bias force of a pose (gravity and springs) is that of actuators, con
     bias(q, 0) = B u + sum_k J_k' f_k + stops,
 
 where the contact law of model.contact.laws gives f_k by the penetration of contact k. `static_equilibrium` moves the
-unactuated degrees of freedom, with the actuated joints fixed, by descent in potential energy until their equations
-hold. planner.dynamics.quasi_static computes the controls u.
+unactuated degrees of freedom, with the actuated joints fixed and thrusters off, by descent in potential energy until
+their equations hold; where the machine falls that way it looks for a saddle of the energy, on which it can balance.
+planner.dynamics.quasi_static computes the controls u.
 
 A goal of leg joints leaves the position of the trunk open, and a trunk that stays would drag the feet. At rest on level
 ground horizontal displacements are free, so the goal pose is displaced by the dq of the unactuated degrees of freedom
@@ -22,21 +23,18 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
-from planner.dynamics.algorithms import bias, mass_matrix
-from planner.dynamics.contacts import contact_forces, contact_jacobians, generalized_forces
-from planner.dynamics.kinematics import center_of_mass, jacobian
-from planner.dynamics.quasi_static import weight
+from planner.dynamics.algorithms import mass_matrix
+from planner.dynamics.contacts import contact_forces, contact_jacobians
+from planner.dynamics.kinematics import center_of_mass
+from planner.dynamics.quasi_static import carried_by_thrusters
+from planner.dynamics.resting_poses import along_ground, extended, minimum_of_energy, saddle_of_energy
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.capabilities import rolling_radii, roots, unactuated_basis
-from planner.model.mechanism import Frame, Mechanism
+from planner.model.mechanism import Mechanism
 
-STEPS = 200  # largest number of iterations
-FIRST_STEP, LONGEST_STEP = 0.02, 0.2  # m or rad, step lengths: contacts open and close within millimetres
-SHORTEST_STEP = 1e-9  # m or rad: the search fails if no longer step lowers the energy
-MAX_SHIFT = 0.5  # m or rad, from the initial pose: a larger displacement counts as a fall
-AT_REST = 1e-9  # relative to the weight: largest residual force at convergence
-RANK = 1e-6  # relative to the largest singular value: of contact Jacobians, of lift and tilt along the ground
-DIFFERENCE = 1e-6  # m or rad, of central differences of forces; affects only the number of iterations
+RANK = 1e-6  # relative to the largest singular value: of contact Jacobians
+KEPT = 0.01  # m or rad: what a pose asks for to that, a machine that balances there does not change
+NEAR_GROUND = 0.05  # m: who writes a pose puts feet down to some centimetres
 MANY = 20  # largest number of contacts of a tree that determine its vertical displacement
 UPWARDS = 0.8  # cosine of a plane's normal to the vertical: planes below it are walls
 TURNS = 5  # largest number of iterations of the midpoint Jacobian
@@ -44,15 +42,17 @@ POSE_TOLERANCE = 1e-9  # m or rad, largest change of the goal at convergence
 STRIDE = 0.05  # m: feet that slip or rise by less on the way roll or deform, and need not leave the ground
 
 
-def static_equilibrium(mechanism: Mechanism, x: Any) -> np.ndarray:
+def static_equilibrium(mechanism: Mechanism, x: Any, kept: np.ndarray | None = None) -> np.ndarray:
     """The rest state on the ground near a pose, with the actuated joints unchanged.
 
     Unactuated degrees of freedom (a free base, a passive joint) descend in potential energy from the height at which
-    the lowest contact bears the weight; they are not displaced along the ground.
+    the lowest contact bears the weight; they are not displaced along the ground. A machine that falls that way, as on
+    point feet or two wheels, is put where it balances: there forces are zero as well, and a small push tips it.
 
     Args:
         mechanism: A mechanism with contacts.
         x: (nx,) state or (nq,) pose; velocities are set to zero, activations are unchanged.
+        kept: (nv,) bool, degrees of freedom that a machine that would tip has as they are asked for; None for none.
 
     Returns:
         (nx,).
@@ -73,9 +73,13 @@ def static_equilibrium(mechanism: Mechanism, x: Any) -> np.ndarray:
     if not free.shape[1]:
         raise PlannerError("every joint is driven, expected some that are not: the ground carries nothing here.")
     start = lowered_to_ground(mechanism, x)
-    x, rests = _downhill(mechanism, start, free)
+    there, rests = minimum_of_energy(mechanism, start, free)
     if rests:
-        return x
+        return there
+    there, balances = saddle_of_energy(mechanism, start, free)
+    way = np.abs(mechanism.space.difference(there, x)[:nv])
+    if balances and (kept is None or way[kept].max(initial=0.0) < KEPT):
+        return there
     ground = contact_forces(mechanism, start[:nq], np.zeros(nv))
     centre, lowest = center_of_mass(mechanism, start[:nq]), ground.points[np.argsort(-ground.depths)[:2]]
     raise PlannerError(
@@ -107,7 +111,7 @@ def lowered_to_ground(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:
         deepest = int(own[np.argmax(depths[own])])
         load = g * float(mechanism.mass[root == first].sum())
         way = depths[deepest] - mechanism.contacts[deepest].law.rest_depth(load)
-        x, moves = mechanism.space.integrate(x, _extended(ways @ (way * along), mechanism.space.ndx)), moves + 1
+        x, moves = mechanism.space.integrate(x, extended(ways @ (way * along), mechanism.space.ndx)), moves + 1
     if not moves:
         raise PlannerError("the machine cannot be lowered as a whole, expected a trunk on a slide or a free joint.")
     return x
@@ -119,99 +123,13 @@ def clearance(mechanism: Mechanism, x: np.ndarray) -> float:
     return -float(np.max(depths, initial=-np.inf))
 
 
-def _extended(part: np.ndarray, size: int) -> np.ndarray:
-    return np.concatenate([part, np.zeros(size - len(part))])
-
-
-def _downhill(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Minimize the potential energy over the directions free (nv, n): the state (nx,), and whether it converged.
-
-    Newton's method with the absolute eigenvalues of the Hessian and a limited step length: a step is accepted if the
-    energy decreases (trapezoidal rule on the forces at both ends), or the largest force does.
-    """
-    space = mechanism.space
-    enough, longest = AT_REST * weight(mechanism), FIRST_STEP
-    start, uphill = x, _uphill(mechanism, free, x[None])[0]
-    for _ in range(STEPS):
-        if np.abs(uphill).max() < enough:
-            return x, True
-        ways = _across(mechanism, x[: mechanism.nq], free)
-        by_q = ways @ ways.T @ _slopes(mechanism, free, x) @ ways @ ways.T
-        while longest > SHORTEST_STEP:
-            step = newton_step(by_q, ways @ (ways.T @ uphill), longest)
-            there = space.integrate(x, _extended(free @ step, space.ndx))
-            further = _uphill(mechanism, free, there[None])[0]
-            expected, found = step @ uphill + 0.5 * step @ by_q @ step, 0.5 * step @ (uphill + further)
-            if found < 0.0 or np.abs(further).max() < np.abs(uphill).max():
-                break
-            longest = 0.25 * float(np.abs(step).max())
-        else:
-            return x, False
-        right = abs(found - expected) < 0.3 * abs(expected)
-        longest = min(LONGEST_STEP, 2.0 * longest) if right else max(0.5 * longest, 1e-3 * FIRST_STEP)
-        x, uphill = there, further
-        if np.abs(space.difference(x, start)).max() > MAX_SHIFT:
-            break
-    return x, False
-
-
-def _across(mechanism: Mechanism, q: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """(n, k) orthonormal combinations of the directions free (nv, n) that lift or tilt links with contacts.
-
-    Displacements along level ground do not change the energy, but for a tilted machine away from equilibrium a yaw
-    rotation mixes coordinates, so residual torques would cause spurious displacements along the ground.
-    """
-    links = sorted({contact.link for contact in mechanism.contacts})
-    level = along_ground(mechanism, q, free, np.array(links))
-    return np.linalg.svd(level)[0][:, level.shape[1] :] if level.shape[1] else np.eye(len(level))
-
-
-def along_ground(mechanism: Mechanism, q: np.ndarray, free: np.ndarray, links: np.ndarray) -> np.ndarray:
-    """(n, m) orthonormal combinations of the directions free (nv, n) that neither lift nor tilt the links."""
-    if not np.any(mechanism.gravity):
-        return np.zeros((free.shape[1], 0))
-    return along_plane(mechanism, q, free, links, -mechanism.gravity / np.linalg.norm(mechanism.gravity))
-
-
-def along_plane(
-    mechanism: Mechanism, q: np.ndarray, free: np.ndarray, links: np.ndarray, normal: np.ndarray
-) -> np.ndarray:  # fmt: skip
-    """(n, m) orthonormal combinations of the directions free (nv, n) that move links along planes of a normal (3,)."""
-    rows = []
-    for link in links:
-        J = jacobian(mechanism, q, Frame(int(link), np.eye(4)))
-        rows += [normal[None] @ J[:3], J[3:] - np.outer(normal, normal @ J[3:])]
-    _, sizes, directions = np.linalg.svd(np.vstack(rows) @ free)
-    return directions[int(np.sum(sizes > RANK * sizes.max(initial=0.0))) :].T
-
-
-def newton_step(by_q: np.ndarray, uphill: np.ndarray, longest: float) -> np.ndarray:
-    """The step (n,) down an energy with gradient (n,) and Hessian (n, n), no component longer than `longest`."""
-    values, vectors = np.linalg.eigh(0.5 * (by_q + by_q.T))
-    along = vectors.T @ uphill
-    floor = 1e-8 * np.abs(values).max()
-    # no step along directions of zero curvature, e.g. along the ground
-    step = -vectors @ np.where(np.abs(values) > floor, along / np.maximum(np.abs(values), floor), 0.0)
-    return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-300))
-
-
-def _uphill(mechanism: Mechanism, free: np.ndarray, xs: np.ndarray) -> np.ndarray:
-    """Gradient (K, n) of potential energy, that of contacts and stops too, at states xs (K, nx) at rest, N and N m."""
-    q, still = xs[:, : mechanism.nq], np.zeros((len(xs), mechanism.nv))
-    return (bias(mechanism, q, still) - generalized_forces(mechanism, q, still)) @ free
-
-
-def _slopes(mechanism: Mechanism, free: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Hessian (n, n) of potential energy at x (nx,) by central differences of _uphill."""
-    n, space = free.shape[1], mechanism.space
-    change = np.zeros((2 * n, space.ndx))
-    change[:, : len(free)] = DIFFERENCE * np.concatenate([free.T, -free.T])
-    uphill = _uphill(mechanism, free, space.integrate(np.tile(x, (2 * n, 1)), change))
-    return (uphill[:n] - uphill[n:]).T / (2.0 * DIFFERENCE)
+def stays_in_air(mechanism: Mechanism, x: np.ndarray) -> bool:
+    """Whether a state (nx,) at rest is one in the air, where thrusters can carry the machine."""
+    return clearance(mechanism, x) > NEAR_GROUND and carried_by_thrusters(mechanism)
 
 
 def _at(place: np.ndarray) -> str:
-    return f"({place[0]:.3g}, {place[1]:.3g})"
+    return f"({place[0]:.6g}, {place[1]:.6g})"
 
 
 def goal_without_foot_slip(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray, kept: np.ndarray) -> np.ndarray:

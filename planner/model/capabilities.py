@@ -49,7 +49,8 @@ class Capabilities:
         cls, mechanism: Mechanism, prescribed: np.ndarray | None = None, *, exact_hessian: bool = False
     ) -> Capabilities:
         """Capabilities of a mechanism; `prescribed` (nv,) bool degrees of freedom count as actuated."""
-        actuated = np.any(_independent_directions(mechanism, actuated=True) != 0.0, axis=1)
+        directions = mechanism.independent_directions[:, _moved_by(mechanism, np.ones(mechanism.nu, dtype=bool))]
+        actuated = np.any(directions != 0.0, axis=1)
         return cls(
             mechanism=mechanism,
             actuated=actuated if prescribed is None else actuated | prescribed,
@@ -62,17 +63,27 @@ class Capabilities:
 
 
 def unactuated_basis(mechanism: Mechanism) -> np.ndarray:
-    """(nv, n) basis of the unactuated velocities: one column per independent degree of freedom, couplings included."""
-    return _independent_directions(mechanism, actuated=False)
+    """(nv, n) basis of the unactuated velocities: one column per independent degree of freedom, couplings included.
+
+    Thrusters do not count: they push the whole machine from outside, and are off where it rests.
+    """
+    return mechanism.independent_directions[:, ~_moved_by(mechanism, ~thrusters(mechanism))]
 
 
-def _independent_directions(mechanism: Mechanism, *, actuated: bool) -> np.ndarray:
-    """(nv, n) columns of G (identity without couplings) that an actuator moves, or that none moves."""
-    G = mechanism.independent_directions
-    acts_on = np.where(
-        mechanism.actuators.by_wrenches[:, None], mechanism.actuators.acts_on, mechanism.actuators.moment
-    )
-    return G[:, np.any(acts_on @ G != 0.0, axis=0) == actuated]
+def thrusters(mechanism: Mechanism) -> np.ndarray:
+    """(nu,) bool, actuators that push on a machine from outside, along axes that turn with the link they push on."""
+    found = mechanism.actuators.by_wrenches
+    for one in mechanism.actuators.wrenches:
+        outside = np.any(mechanism.parent[one.dofs] < 0)  # a force between two links does not move what carries both
+        found[one.actuator] &= one.frame == one.link and outside
+    return found
+
+
+def _moved_by(mechanism: Mechanism, which: np.ndarray) -> np.ndarray:
+    """(n,) bool, the columns of G (identity without couplings) that some of the actuators `which` (nu,) bool move."""
+    acts = mechanism.actuators
+    acts_on = np.where(acts.by_wrenches[:, None], acts.acts_on, acts.moment)[which]
+    return np.any(acts_on @ mechanism.independent_directions != 0.0, axis=0)
 
 
 def capabilities_of(dynamics: Any) -> Capabilities:

@@ -8,6 +8,7 @@ from planner.cases.plan_file import load_plan
 from planner.cases.problem_file import load
 from planner.cases.problem_file.ground_placement import STANCE_RAMP
 from planner.dynamics.contacts import contact_forces
+from planner.dynamics.kinematics import center_of_mass
 from planner.dynamics.statics import clearance
 from planner.model.mjcf.file_law import FILE_SMOOTHING
 from planner.problem.goals import static_error
@@ -129,3 +130,47 @@ def test_a_plan_of_it_passes_and_is_stored(tmp_path):
     np.testing.assert_allclose(again.problem.x0, plan.problem.x0, atol=1e-10)
     np.testing.assert_allclose(again.problem.cost.x_ref[-1], plan.problem.cost.x_ref[-1], atol=1e-10)
     assert len(again.problem.dynamics.mechanism.contacts) == 4
+
+
+def test_who_tilts_what_balances_upright_gets_it_tilted(tmp_path):
+    """A start of driven joints is put where the machine balances; one that is tilted on purpose is to be caught."""
+    (tmp_path / "pole.xml").write_text(
+        """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/><body name="trunk" pos="0 0 .63">
+        <joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+        <joint name="tilt" axis="0 1 0"/><inertial pos="0 0 .1" mass="6" diaginertia=".2 .2 .2"/>
+        <body name="leg"><joint name="hip" axis="0 1 0"/><geom size=".03" pos="0 0 -.6" mass="1"/></body></body>
+        </worldbody><actuator><motor joint="hip"/></actuator></mujoco>"""
+    )
+    table = 'model = "pole.xml"\nduration = 0.5\ndt = 0.01\nstart = {}\ngoal = {}\n'
+    for start, goal, tilts in (
+        ("{ hip = 0.2 }", "{ hip = 0.1 }", None),
+        ("{ hip = 0.2, tilt = -0.02 }", "{ hip = 0.1, tilt = -0.02 }", -0.02),
+    ):
+        (tmp_path / "p.toml").write_text(table.replace("start = {}", f"start = {start}").replace("{}", goal))
+        file = load(tmp_path / "p.toml")
+        for x in (file.problem.x0, file.problem.cost.x_ref[-1]):
+            m = file.problem.dynamics.mechanism
+            away = contact_forces(m, x[:4], np.zeros(4)).points[0, 0] - center_of_mass(m, x[:4])[0]
+            assert x[2] == pytest.approx(-0.02, abs=5e-3) if tilts else abs(away) < 1e-8
+            assert tilts is None or abs(away) > 5e-3
+        assert any("does not balance by itself" in one for one in file.notes) == (tilts is not None)
+
+
+def test_a_lander_stays_in_the_air_and_lands_on_the_ground(tmp_path):
+    """Its engines carry it where it starts, 2 m above; where it is to land the ground does."""
+    (tmp_path / "sled.xml").write_text(
+        """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/><body name="ship" pos="0 0 2">
+        <freejoint name="ship"/><inertial pos="0 0 .2" mass="9" diaginertia="1 1 1"/>
+        <geom size=".1" pos=".5 .4 -.2" mass=".2"/><geom size=".1" pos="-.5 .4 -.2" mass=".2"/>
+        <geom size=".1" pos=".5 -.4 -.2" mass=".2"/><geom size=".1" pos="-.5 -.4 -.2" mass=".2"/>
+        <site name="main"/></body></worldbody><actuator><motor site="main" gear="0 0 1 0 0 0"/></actuator></mujoco>"""
+    )
+    goal = "{ ship = [0.5, 0, 0.31, 1, 0, 0, 0] }"
+    (tmp_path / "p.toml").write_text(TABLE.format(start="{}", goal=goal, more='contacts = "file"'))
+    file = load(tmp_path / "p.toml")
+    m = file.problem.dynamics.mechanism
+    np.testing.assert_array_equal(file.problem.x0, m.home)
+    assert "start is not put on the ground, since thrusters carry it in the air." in file.notes
+    x = file.problem.cost.x_ref[-1]
+    assert contact_forces(m, x[:7], np.zeros(6)).forces[:, 2].sum() == pytest.approx(9.0 * 9.81, rel=1e-6)
+    assert x[0] == 0.5

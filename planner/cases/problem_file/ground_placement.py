@@ -16,13 +16,19 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import RAMP, RESOLVED
 from planner.cases.problem_file.states import state_of
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.statics import feet_move, goal_without_foot_slip, lowered_to_ground, static_equilibrium
+from planner.dynamics.statics import (
+    NEAR_GROUND,
+    feet_move,
+    goal_without_foot_slip,
+    lowered_to_ground,
+    static_equilibrium,
+    stays_in_air,
+)
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import STANDING
 from planner.problem.tasks.goal import Goal, json_value
 
-MAX_PLACEMENT_SHIFT = 0.05  # m or rad: who writes a pose puts feet down to some centimetres
 STANCE_RAMP = 6e-5
 """m. MuJoCo has no ramp: with the usual 0.6 mm of the ground's law, points of a foot that bear little tilt ankles of
 humanoids by 2 mrad, more than passes where joints move by less than 0.1 rad. Feet that have to move want the long one,
@@ -37,7 +43,8 @@ def place_on_ground(
     """Start and goal (nx,) as they are planned, and by these names a sentence about what was done to each.
 
     With settle = "auto" and a law of the ground, what is at rest is put down from any height, and a sentence says so:
-    files let machines fall from a little above. A pose that does not balance is put down as it is.
+    files let machines fall from a little above. A pose that does not balance is put down as it is, and so is one that
+    is tilted on purpose, of a machine that balances upright; thrusters keep a machine that they can carry in the air.
 
     Raises:
         PlannerError: settle is none of true, false and "auto"; true, and a pose does not stay on the ground.
@@ -54,7 +61,7 @@ def place_on_ground(
     goal, other = _lower_to_ground("goal", goal, mechanism)
     there = goal_without_foot_slip(mechanism, start, goal, asked)
     way = float(np.abs(mechanism.space.difference(there, goal)).max())
-    if way > MAX_PLACEMENT_SHIFT:
+    if way > NEAR_GROUND:
         other += f" goal goes {way:.2g} m or rad along the ground, where feet that do not slide carry it."
     goal = there
     if np.abs(mechanism.space.difference(goal, start)).max() < SAME_POSE_TOLERANCE:
@@ -121,12 +128,15 @@ def _lower_to_ground(name: str, x: np.ndarray, mechanism: Mechanism) -> tuple[np
     """The state on the ground, or as it is, and a sentence about it; "" where there is nothing to say."""
     if np.any(x[mechanism.velocities]):
         return x, f"{name} is not put on the ground, since it moves."
+    if stays_in_air(mechanism, x):
+        return x, f"{name} is not put on the ground, since thrusters carry it in the air."
+    turned = np.abs(mechanism.space.difference(x, mechanism.home)[: mechanism.nv]) > SAME_POSE_TOLERANCE
     try:
-        there = static_equilibrium(mechanism, x)
+        there = static_equilibrium(mechanism, x, turned & np.any(mechanism.S[:, :3] != 0.0, axis=1))
     except PlannerError as error:
         return lowered_to_ground(
             mechanism, x
         ), f"{name} is put on the ground, where it does not balance by itself: {error}"
     way = float(np.abs(mechanism.space.difference(there, x)).max())
     said = f"{name} is put on the ground, {way:.2g} m or rad from what was asked; settle = false leaves it there."
-    return there, said if way > MAX_PLACEMENT_SHIFT else ""
+    return there, said if way > NEAR_GROUND else ""

@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.dynamics.inverse_kinematics import POSTURE_WEIGHT, Target, integrate_base, residuals
 from planner.dynamics.kinematics import frame_pose, jacobian
-from planner.dynamics.statics import along_plane
+from planner.dynamics.resting_poses import along_plane
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.tasks.pose_constraints import Feet

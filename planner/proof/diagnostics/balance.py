@@ -7,7 +7,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.base.measured import Quantity
 from planner.dynamics.kinematics import center_of_mass
-from planner.dynamics.statics import STRIDE, static_equilibrium
+from planner.dynamics.statics import STRIDE, static_equilibrium, stays_in_air
 from planner.model.capabilities import capabilities_of, rolling_radii, stands_on_ground
 from planner.model.mjcf.contact_mode import STANDING
 from planner.problem.costs.tracking import tracking_of
@@ -31,8 +31,10 @@ def standing_goal(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     goal = cost.x_ref[-1]
     if mechanism is None or not stands_on_ground(mechanism) or np.any(goal[mechanism.velocities]):
         return []
+    if stays_in_air(mechanism, goal):
+        return []
     try:
-        static_equilibrium(mechanism, goal)
+        static_equilibrium(mechanism, goal, np.ones(mechanism.nv, dtype=bool))
     except PlannerError as error:
         return [no_fix("goal", "goal_unbalanced", cause=str(error))]
     return []
