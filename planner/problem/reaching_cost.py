@@ -142,6 +142,17 @@ def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray) -> np.ndarray:
     return np.where(servos, us, 0.0)
 
 
+def along_gait(dynamics: RigidBodyDynamics, xs: np.ndarray, weights: Mapping[str, Any]) -> dict[str, Any]:
+    """Weights, by arguments of TrackingCost.joints, whose references are those of a gait with states xs (N+1, nx).
+
+    Servos go along it. The reference of motors, whose controls are forces, stays as it is.
+    """
+    servos, control = servos_of(dynamics), weights.get("control", 0.0)
+    if servos.any():
+        control = np.where(servos, servo_reference(dynamics, xs), control)
+    return {**weights, "reference": xs, "control": control}
+
+
 def terminal_holding_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, seconds: Any) -> TrackingCost:
     """A cost whose final weights include the cost-to-go of staying at its goal for a time.
 
