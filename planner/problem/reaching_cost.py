@@ -152,7 +152,8 @@ def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray, *, inertia: boo
 def along_gait(dynamics: RigidBodyDynamics, xs: np.ndarray, weights: Mapping[str, Any]) -> dict[str, Any]:
     """Weights, by arguments of TrackingCost.joints, whose references are those of a gait with states xs (N+1, nx).
 
-    Servos go along it, with the inertia of swinging legs. The reference of motors, whose controls are forces, stays as it is.
+    Servos go along it, with the inertia of swinging legs. The reference of motors, whose controls are forces, stays as
+    it is.
     """
     servos, control = servos_of(dynamics), weights.get("control", 0.0)
     if servos.any():
