@@ -31,7 +31,9 @@ _BALANCED = 1e-6  # of the weight, N or N m
 _CONVERGED = 1e-12  # largest entry of a Gauss-Newton step at convergence, in each coordinate's unit
 
 
-def quasi_static_controls(dynamics: Any, x: Any, *, contacts: bool = True, keep_activations: bool = True) -> np.ndarray:
+def quasi_static_controls(
+    dynamics: Any, x: Any, *, contacts: bool = True, keep_activations: bool = True, inertia: Any = 0.0
+) -> np.ndarray:
     """Controls that balance gravity and springs at a pose, by least squares; of minimum norm without contacts.
 
     Prescribed joints get zero acceleration. Contacts close to the ground contribute forces within their friction cones.
@@ -42,6 +44,7 @@ def quasi_static_controls(dynamics: Any, x: Any, *, contacts: bool = True, keep_
         contacts: Whether contact forces contribute; else only the actuators balance the pose.
         keep_activations: Whether an INTEGRATOR actuator keeps its activation, with control 0. If not, its entry of
             the result is the activation that balances the pose.
+        inertia: (nv,) N and N m, what a motion through the pose takes beyond rest; 0 for none.
 
     Returns:
         (nu,) controls of the dynamics, or of the mechanism.
@@ -60,7 +63,7 @@ def quasi_static_controls(dynamics: Any, x: Any, *, contacts: bool = True, keep_
     force, gain = passive_forces(actuators, lengths), gains_at(actuators, lengths)
     force[fixed] += gain[fixed] * act[actuators.activation[fixed]]
     moment = actuator_moments(mechanism, q)
-    missing = bias(mechanism, q, np.zeros(nv)) - moment.T @ force
+    missing = bias(mechanism, q, np.zeros(nv)) + inertia - moment.T @ force
     reach = moment.T * np.where(fixed, 0.0, gain)
     prescribed = prescribed_dofs_of(dynamics)
     Z = feasible_directions(mechanism, q)[0]  # constraint forces balance the other directions

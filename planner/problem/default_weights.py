@@ -26,8 +26,8 @@ Every weight makes its term dimensionless and about 1:
 Velocities refer to a minimum-jerk motion where every joint has an actuator: relative to rest, a joint with much damping
 and little inertia would move at constant velocity, and start and stop within a stage. The effort of machines that stand
 or fly is relative to the static control at the goal. That of servos, whose control is a position or a velocity, is
-relative to the controls of that motion (reaching_cost.servo_reference): what costs is the force that a servo exerts
-beyond it, not the position that it is told.
+relative to the controls of that motion, or of a gait (reaching_cost.servo_reference): what costs is the force that a
+servo exerts beyond it, not the position that it is told.
 """
 
 from __future__ import annotations

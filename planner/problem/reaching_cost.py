@@ -20,6 +20,7 @@ import numpy as np
 
 from planner.base.arguments import number
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.joint_forces import actuator_lengths, force_slopes
 from planner.dynamics.quasi_static import quasi_static_controls
@@ -128,18 +129,36 @@ def straight_reference(
     return xs
 
 
-def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray) -> np.ndarray:
-    """Controls (N, nu) with which servos go along states (N+1, nx) without inertia; 0 for motors.
+def servo_reference(dynamics: RigidBodyDynamics, xs: np.ndarray, *, inertia: bool = False) -> np.ndarray:
+    """Controls (N, nu) with which servos go along states (N+1, nx); 0 for motors.
 
-    Each is the static control in the middle of its stage, and what balances the servo's own damping there.
+    Each is the static control in the middle of its stage, and what balances the servo's own damping there; with
+    `inertia` what the machine's inertia and damping take too.
     """
     mechanism, servos, space = dynamics.mechanism, servos_of(dynamics), dynamics.space
+    nq, speeds, forces = mechanism.nq, xs[:, mechanism.velocities], np.zeros((len(xs) - 1, mechanism.nv))
     middle = space.integrate(xs[:-1], 0.5 * space.difference(xs[1:], xs[:-1]))
-    us = np.array([quasi_static_controls(dynamics, x) for x in middle])
+    if inertia:
+        q, v = middle[:, :nq], middle[:, mechanism.velocities]
+        forces = np.einsum("nij,nj->ni", mass_matrix(mechanism, q), np.diff(speeds, axis=0) / dynamics.dt)
+        forces += bias(mechanism, q, v) - bias(mechanism, q, np.zeros_like(v))
+    us = np.array([quasi_static_controls(dynamics, x, inertia=force) for x, force in zip(middle, forces, strict=True)])
     rates, own = middle[:, mechanism.velocities] @ mechanism.actuators.moment.T, us[:, : mechanism.nu]
-    slopes = force_slopes(mechanism.actuators, own, actuator_lengths(mechanism, middle[:, : mechanism.nq]), rates)
+    slopes = force_slopes(mechanism.actuators, own, actuator_lengths(mechanism, middle[:, :nq]), rates)
     own -= rates * (slopes.by_rate / np.where(slopes.gain == 0.0, 1.0, slopes.gain))
     return np.where(servos, us, 0.0)
+
+
+def along_gait(dynamics: RigidBodyDynamics, xs: np.ndarray, weights: Mapping[str, Any]) -> dict[str, Any]:
+    """Weights, by arguments of TrackingCost.joints, whose references are those of a gait with states xs (N+1, nx).
+
+    Servos go along it, with the inertia of swinging legs. The reference of motors, whose controls are forces, stays as
+    it is.
+    """
+    servos, control = servos_of(dynamics), weights.get("control", 0.0)
+    if servos.any():
+        control = np.where(servos, servo_reference(dynamics, xs, inertia=True), control)
+    return {**weights, "reference": xs, "control": control}
 
 
 def terminal_holding_cost(dynamics: RigidBodyDynamics, cost: TrackingCost, seconds: Any) -> TrackingCost:

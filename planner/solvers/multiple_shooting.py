@@ -71,14 +71,13 @@ def line_to_the_end(problem: Problem) -> np.ndarray | None:
     return guessed_states(problem, "line") if np.all(np.diagonal(tracking.Q[-1]) > 0.0) else None
 
 
-def controls_along(problem: Problem, states: np.ndarray, max_iterations: int) -> np.ndarray:
+def controls_along(problem: Problem, states: np.ndarray, first: np.ndarray, max_iterations: int) -> np.ndarray:
     """Controls (N, nu) of the first rollout that closes the defects of states (N+1, nx), without their limits.
 
-    Where none does, those of the better rollout of the problem's own controls, zero where it has none, and shares of
-    them.
+    It begins with the controls `first` (N, nu). Where no rollout closes them, those of the best rollout of shares of
+    `first`.
     """
     engine = acquire_engine(problem, ARMIJO)
-    first = problem.first_guess
     _, _, interrupted = close_defects(problem, engine, False, states, first, max_iterations, None, options=ALONG)
     if interrupted:
         raise KeyboardInterrupt

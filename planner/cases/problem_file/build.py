@@ -109,7 +109,7 @@ from planner.problem.model_lint import ranges_in_degrees
 from planner.problem.objective import durations_or_default, with_objective
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import PROBLEM_FILE, Recipe
-from planner.problem.reaching_cost import straight_reference, weighed
+from planner.problem.reaching_cost import along_gait, straight_reference, weighed
 from planner.problem.rediscretize import MAX_STAGES
 from planner.problem.tasks.cycle import Cycle
 from planner.problem.tasks.phases import free_times
@@ -345,8 +345,8 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         cost, x0 = cycle_cost(dynamics, x0, cyclic, cycle, end, weights), start
     elif way is None:
         straight = stands_on_ground(mechanism) and "position" not in table["weights"]
-        walked = {} if along is None else {"reference": along.states}
-        cost = weighed(dynamics, x0, goal, N, weights | walked, straight=straight)
+        walked = weights if along is None else along_gait(dynamics, along.states, weights)
+        cost = weighed(dynamics, x0, goal, N, walked, straight=straight)
     else:
         cost, wanted = cost_of(way, dynamics, weights)
     kept = (*asked, *(() if apart is None else (apart.constraint,)), *constraints)

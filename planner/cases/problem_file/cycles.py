@@ -23,7 +23,7 @@ from planner.problem.objective import rebuilt
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import Periodic
-from planner.problem.reaching_cost import staying_cost, with_slip
+from planner.problem.reaching_cost import along_gait, staying_cost, with_slip
 from planner.problem.tasks.cycle import Cycle, CycleMotion, cycle_motion, cycle_of
 from planner.solvers.gains import feedback_rollout
 from planner.solvers.options import single_start
@@ -130,7 +130,7 @@ def cycle_cost(
         goal: (nx,) the last reference of all cycles.
         weights: As of reaching_cost.weighed.
     """
-    arguments = {**weights, "reference": motion.states}
+    arguments = along_gait(dynamics, motion.states, weights)
     hold, slip = arguments.pop("hold", 0.0), arguments.pop("slip", 0.0)
     tracking = TrackingCost.joints(dynamics, motion.states[-1], len(motion.states) - 1, **arguments)
     standing = TrackingCost(tracking.Q, tracking.R, x0, tracking.u_ref, tracking.space)

@@ -23,6 +23,8 @@ from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.space import space_of
 from planner.problem.collision_free_path import collision_free_motion
 from planner.problem.constraints.clearance import pair_clearance_of
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.default_weights import servos_of
 from planner.problem.initial_guess import interpolated_states, straight_line
 from planner.problem.problem import Problem
 from planner.problem.tasks.reference_motion import closed_chain_reference
@@ -83,7 +85,7 @@ def first_guess(
     hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None
     if kind == "auto" and way is not None and way.walks:
-        found = controls_along(problem, way.states, SHOTS)
+        found = controls_along(problem, way.states, _servos_along(problem), SHOTS)
     elif kind != "hold":
         found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.states)
     if found is None and kind == "tracking":
@@ -91,6 +93,13 @@ def first_guess(
     if found is None or (kind == "auto" and not _rollout_cost(problem, found) < _rollout_cost(problem, hold)):
         return hold
     return found
+
+
+def _servos_along(problem: Problem) -> np.ndarray:
+    """Controls (N, nu) with which servos go along the cost's reference; 0 of motors."""
+    tracking = tracking_of(problem.cost)
+    assert tracking is not None  # of a file's problem
+    return np.where(servos_of(problem.dynamics), tracking.u_ref, 0.0)
 
 
 def _closed(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory | None:

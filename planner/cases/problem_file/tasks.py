@@ -31,6 +31,7 @@ from planner.problem.default_weights import (
 )
 from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
+from planner.problem.reaching_cost import along_gait
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
 from planner.problem.tasks.flight import check_flight
 from planner.problem.tasks.gait import Gait, gait_of
@@ -235,7 +236,10 @@ def cost_of(
     way: ResolvedTask, dynamics: RigidBodyDynamics, weights: dict[str, Any]
 ) -> tuple[Cost, tuple[GoalSpec, ...]]:
     """The cost of a task and what its proof judges."""
-    weights = weights | {"reference": way.rows} if way.stands else weights
+    if way.gait:
+        weights = along_gait(dynamics, way.rows, weights)
+    elif way.stands:
+        weights = weights | {"reference": way.rows}
     return task_cost(way.task, dynamics, way.rows, weights), task_goal_specs(way.task, way.rows[0])
 
 

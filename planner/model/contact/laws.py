@@ -55,6 +55,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -129,21 +130,26 @@ class Law:
 
         Where the impedance still rises, deeper than a plain spring's.
         """
-        last = self.impedance[1]
+        return _rest_depth(self, load)
 
-        def carried(depth: float) -> float:
-            d = float(self.impedance_at(depth)[0])
-            return self.stiffness * depth * (d / last) * (d / (1.0 - d)) * (1.0 - last) / last
 
-        low, high = 0.0, load / self.stiffness
-        if self.lead == 0.0:
-            return high
-        while carried(high) < load * (1.0 - 1e-12):  # rounding
-            low, high = high, 2.0 * high
-        while high - low > 1e-9 * high:
-            middle = 0.5 * (low + high)
-            low, high = (low, middle) if carried(middle) > load else (middle, high)
+@lru_cache(maxsize=256)  # of few laws, asked for at many states
+def _rest_depth(law: Law, load: float) -> float:
+    last = law.impedance[1]
+
+    def carried(depth: float) -> float:
+        d = float(law.impedance_at(depth)[0])
+        return law.stiffness * depth * (d / last) * (d / (1.0 - d)) * (1.0 - last) / last
+
+    low, high = 0.0, load / law.stiffness
+    if law.lead == 0.0:
         return high
+    while carried(high) < load * (1.0 - 1e-12):  # rounding
+        low, high = high, 2.0 * high
+    while high - low > 1e-9 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if carried(middle) > load else (middle, high)
+    return high
 
 
 @dataclass(frozen=True)
