@@ -171,6 +171,7 @@ def refine(
         except PlannerError as error:
             reason = f"It cannot be refined: {error}"
             break
+        work.charge_warm_start(problem)
         allowed = work.before_proof(problem)
         if allowed.exhausted:
             reason = work.end.value
