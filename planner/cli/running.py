@@ -41,6 +41,7 @@ from planner.proof.repair import Repaired, Step, Tools, repair
 from planner.proof.repair.clearance import ClearanceRefinement
 from planner.proof.repair.fixes import FixTrial
 from planner.proof.repair.refinement import Refined, Refinement
+from planner.proof.repair.resumption import Resumption
 from planner.proof.repair.saddle import SaddleStep
 from planner.solvers.work import DEFAULT_WORK, WorkBudget, work_of_proof
 from planner.sweeps.executors import executor_of
@@ -144,7 +145,7 @@ def auto_repair(
     options = {name: getattr(arguments, name) for name in ("update", "line_search", "hessian")}
     judge = partial(prove, rollouts=0, hold_seconds=arguments.hold)
     tools = Tools(solve_again, judge, options, arguments.max_iterations, partial(_show_step, console), keep)
-    return repair(asked.problem, plan, proof, path, tools, resumed=resumed, budget=budget)
+    return repair(asked.problem, plan, proof, path, tools, again=resumed, budget=budget)
 
 
 def _show_step(console: Console, step: Step) -> None:
@@ -155,7 +156,7 @@ def _show_step(console: Console, step: Step) -> None:
         console.write_result(f"refinements: {len(step.path) - 1}; {step.reason}")
     elif isinstance(step, ClearanceRefinement):
         console.write_result("\n".join(f"planned again: {note}" for note in step.notes))
-    elif isinstance(step, SaddleStep):
+    elif isinstance(step, SaddleStep | Resumption):
         console.write_result(str(step))
     elif isinstance(step, FixTrial) and step.outcome == "begins":
         console.write_progress(f"the plan does not pass; trying {step.fix}")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import planner
 from planner import SolverOptions
 from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
 from planner.proof.diagnostics.solving import not_a_minimum
-from planner.proof.diagnostics.stage import rounded_step
+from planner.proof.diagnostics.stage import clamped_between, rounded_step
 from planner.proof.diagnostics.suggested_fix import rounded_up
 from planner.proof.repair import Tools, repair
 from planner.proof.repair.fixes import FixTrial
@@ -393,3 +394,17 @@ def test_a_quadruped_that_is_to_be_elsewhere_is_offered_a_gait(tmp_path, goal, m
     plan = replace(plan, xs=np.concatenate([plan.xs[:-1], x[None]]))
     found = [one.value for one in suggested_fixes(plan) if one.key == "gait"]
     assert found == asked
+
+
+def test_forces_that_only_the_stage_adds_need_a_shorter_one(tmp_path):
+    """The replay with gains is right, and in the file an actuator is clamped within a stage: half of it is tried."""
+    problem = arm(tmp_path)
+    right = SimpleNamespace(passed=True)
+    failures = [SimpleNamespace(name="clamped_actuators")]
+    proof = SimpleNamespace(
+        refined_feedback=right, plan=right, goal=right, your_file=SimpleNamespace(failures=failures)
+    )  # fmt: skip
+    (found,) = clamped_between(None, problem, proof)
+    assert (found.key, found.value) == ("dt", pytest.approx(0.5 * problem.dynamics.dt))
+    proof.your_file.failures = [*failures, SimpleNamespace(name="unknown_stops")]
+    assert clamped_between(None, problem, proof) == []

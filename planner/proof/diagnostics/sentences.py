@@ -83,6 +83,8 @@ SENTENCES = {
     "first_order": "with {integrator} plan and MuJoCo differ by {share} what passes, an error of first order",
     "stage_too_long": "at {dt:.4g} plan and MuJoCo differ by {share} what passes, an error that falls with the power "
     "{order:.2g} of the stage",
+    "clamped_in_stage": "the plan keeps the limits of its actuators at the ends of its stages of {dt:.4g}, and not "
+    "within them",
     "gains_too_fast": "in your file the machine arrives without the plan's gains and not with them: they are made for "
     "controls that are constant for {dt:.4g}, in which the machine swings through {swing:.2g}",
 }  # fmt: skip

@@ -52,6 +52,17 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     return [fix(problem, "dt", value, "stage_too_long", **values)]
 
 
+def clamped_between(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """Half the stage, where all that fails is that forces which servos or gains add within a stage are clamped."""
+    if proof is None or not proof.refined_feedback.passed or not (proof.plan.passed and proof.goal.passed):
+        return []
+    if [one.name for one in proof.your_file.failures] != ["clamped_actuators"]:
+        return []
+    dt = problem.dynamics.dt
+    value = rounded_step(problem.duration, 0.5 * dt)
+    return [fix(problem, "dt", value, "clamped_in_stage", dt=Quantity(dt, "s"))]
+
+
 def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """The stage length for the fastest oscillation, where the gains alone make the user's file miss its goals."""
     if proof is None or not proof.refined_feedback.passed or proof.your_file.passed:

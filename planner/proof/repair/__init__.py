@@ -1,11 +1,12 @@
 """repair(): try to make a plan pass, in this order, until it passes or the work budget is exhausted.
 
-    1. finer steps         RK4 in place of Euler, half the stage: refinement.py
-    2. saddles             a stationary point that is no minimum is left along its lowest curvature: saddle.py
-    3. suggested fixes     of how the motion is computed, with finer steps where only these are then wrong; the first
+    1. going on            with a solve that its share of the work has cut: resumption.py
+    2. finer steps         RK4 in place of Euler, half the stage: refinement.py
+    3. saddles             a stationary point that is no minimum is left along its lowest curvature: saddle.py
+    4. suggested fixes     of how the motion is computed, with finer steps where only these are then wrong; the first
                            that passes is applied. Then those that change the motion itself, which are only reported:
                            fixes.py
-    4. clearance           larger where shapes collide in MuJoCo, smaller where only their fits do: clearance.py
+    5. clearance           larger where shapes collide in MuJoCo, smaller where only their fits do: clearance.py
 
 All solves and proofs share one budget of work (solvers.work), so that the result is the same on a machine of any speed
 and load.
@@ -24,12 +25,14 @@ from planner.proof.diagnostics.suggested_fix import of_file
 from planner.proof.repair.clearance import ClearanceRefinement, refine_clearance
 from planner.proof.repair.fixes import FixTrial, FixTrials, Solve
 from planner.proof.repair.refinement import Refined, Refinement, refine
+from planner.proof.repair.resumption import Resumption, resumed
 from planner.proof.repair.saddle import SaddleStep, leave_saddles
 from planner.proof.verdict import Proof
 from planner.solvers.work import DEFAULT_WORK, WorkBudget
 
-Step = Refinement | Refined | SaddleStep | FixTrial | ClearanceRefinement
-"""What is reported of a repair: each refinement and their end, saddles, each trial of a fix, changes of clearance."""
+Step = Resumption | Refinement | Refined | SaddleStep | FixTrial | ClearanceRefinement
+"""What is reported of a repair: a solve that went on, each refinement and their end, saddles, each trial of a fix,
+changes of clearance."""
 
 
 class Repaired(NamedTuple):
@@ -64,7 +67,7 @@ class Tools:
 
 def repair(
     problem: Problem, plan: Plan, proof: Proof | None, path: tuple[Refinement, ...], tools: Tools, *,
-    resumed: bool = False, budget: WorkBudget | None = None,
+    again: bool = False, budget: WorkBudget | None = None,
 ) -> Repaired:  # fmt: skip
     """Repair a plan that does not pass.
 
@@ -74,7 +77,7 @@ def repair(
         proof: Its proof; None where it cannot be replayed.
         path: Refinements that were made before.
         tools: What to solve and prove with.
-        resumed: The plan is of a run that goes on, which tried the fixes then; refinements are made again.
+        again: The plan is of a run that goes on, which tried the fixes then; refinements are made again.
         budget: Of the repair; by default DEFAULT_WORK.
     """
     work = WorkBudget(DEFAULT_WORK) if budget is None else budget
@@ -85,7 +88,15 @@ def repair(
             max_iterations=tools.max_iterations, **tools.options,
         )  # fmt: skip
 
-    if proof is not None and not path and not standing_goal(plan, problem, proof):
+    longer = None if again or path else resumed(
+        problem, plan, work, tools.max_iterations, **tools.options
+    )  # fmt: skip
+    if longer is not None:
+        tools.report(longer)
+        work.charge_proof(problem)
+        plan, proof = longer.plan, tools.prove(longer.plan)
+        tools.store(plan, "continued", path)
+    if proof is not None and not proof.passed and not path and not standing_goal(plan, problem, proof):
         done = refined(plan, proof)
         if done.plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt  # the next run begins an interrupted refinement again
@@ -102,7 +113,7 @@ def repair(
             plan, proof, path = better, judged, ()
             tools.store(plan, "repaired", path)
     found = suggested_fixes(plan, proof)
-    if resumed or (proof is not None and proof.passed):
+    if again or (proof is not None and proof.passed):
         return Repaired(plan, proof, path, found)
     if of_file(problem) and problem.periodic is None:  # a cycle takes many solves
         trials = FixTrials(problem, plan, tools.solve, tools.prove, refined, work, tools.max_iterations, tools.report)

@@ -22,7 +22,7 @@ NOT_TRIED = ("contacts", "gait", "ignore", "model", "start", "work")  # read the
 SHARE = 0.5  # of the work that is left, at most, for the trial of a fix
 MIN_ITERATIONS = 20  # of a trial: fewer solve nothing that failed
 MAX_DURATIONS = 6  # maximum number tried, each 1.5 times the last: up to 7.6 times
-MAX_WEIGHTS = 3  # maximum number tried, each what the plan before suggests
+MAX_WEIGHTS = 5  # maximum number tried, each what the plan before suggests
 _RESOLVED = "resolved"  # key of a problem file's table: default choices and their reasons
 
 Solve = Callable[[Problem, int, str, WorkBudget], Plan]
