@@ -133,7 +133,9 @@ def _problem(
         missing = sorted(set(problem.recipe.parameters) - set(parameters))
         raise PlannerError(f"its parameters are not complete (missing: {', '.join(missing) or 'none, but changed'}).")
     limits = problem.limits if meta["limits"] is None else Limits.from_dict(meta["limits"])
-    problem = replace(base_problem(problem), limits=limits, tolerance=meta["tolerance"])
+    problem = replace(base_problem(problem), limits=limits)
+    if meta["tolerance"] is not None:
+        problem = replace(problem, tolerance=meta["tolerance"])
     return problem if meta["objective"] is None else with_objective(problem, meta["objective"])
 
 

@@ -18,7 +18,7 @@ from planner.model.mechanism import Frame, Mechanism
 STEPS = 200  # largest number of iterations
 FIRST_STEP, LONGEST_STEP = 0.02, 0.2  # m or rad, step lengths: contacts open and close within millimetres
 SHORTEST_STEP = 1e-9  # m or rad: the search fails if no longer step lowers the energy
-HALVINGS = 30  # largest number of halvings of a step to a saddle
+HALVINGS = 10  # largest number of halvings of a step to a saddle
 DECREASE = 0.01  # of the force, per share of a step to a saddle: less of it is a step off the ground
 MAX_SHIFT = 0.5  # m or rad, from the initial pose: a larger displacement counts as a fall
 MAX_LEAN = 0.3  # m or rad, from the initial pose: a saddle farther away is another pose than the one asked for
@@ -64,13 +64,14 @@ def saddle_of_energy(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> t
     """Solve for zero force along the directions free (nv, n): the state (nx,), and whether it is one near x (nx,).
 
     Newton's method with the signed eigenvalues of the Hessian, damped by the norm of the force. All contacts that bear
-    load at x still do: a flat foot that would tip is not put on its toe.
+    load at x still do, and so do all of each link that bears load: no flat foot is put on its edge.
     """
     space, enough = mechanism.space, AT_REST * weight(mechanism)
     start, uphill, loaded = x, _uphill(mechanism, free, x[None])[0], _bear_load(mechanism, x)
     for _ in range(STEPS):
         if np.abs(uphill).max() < enough:
-            return x, bool(_bear_load(mechanism, x)[loaded].all())
+            bear, links = _bear_load(mechanism, x), np.array([one.link for one in mechanism.contacts])
+            return x, bool(bear[loaded | np.isin(links, links[bear])].all())
         ways = _across(mechanism, x[: mechanism.nq], free)
         by_q = ways @ ways.T @ _slopes(mechanism, free, x) @ ways @ ways.T
         step = newton_step(by_q, ways @ (ways.T @ uphill), LONGEST_STEP, signed=True)

@@ -115,7 +115,7 @@ def unreturned_message(problem: Problem, xs: np.ndarray) -> str:
 
 
 def has_tolerances(problem: Problem) -> bool:
-    """Whether a problem or one of its goals states a tolerance, rather than having the default ones."""
+    """Whether a problem or one of its goals states a tolerance, as a problem file does for all; else defaults hold."""
     return problem.tolerance is not None or any(one.tolerance is not None for one in goal_specs_of(problem))
 
 

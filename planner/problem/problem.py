@@ -74,7 +74,9 @@ class Problem(Built):
         periodic: Components of the state that return at the end, for planner.solve_periodic; None for none.
         tolerance: Max error of the end against the cost's final reference, for the proof: a number in rad, m, rad/s
             and m/s, infinite (or "soft") for no check, or a table of these by "position", "velocity" and the names of
-            joints and frames. None: 2 % of the displacement, see planner.problem.goals.
+            joints and frames. What it leaves out: 2 % of the displacement, see planner.problem.goals. With None, the
+            default, such a goal that is missed does not make a solve's status GOAL_MISSED; with a table, empty too, it
+            does.
         goal_specs: Goal checks of a task for the proof; None for those of the cost's final reference.
         recipe: Recipe to rebuild the problem; None for one that was assembled from parts, or whose dynamics, cost,
             start, horizon or constraints were replaced.

@@ -221,7 +221,8 @@ def infeasible_message(message: str, found: Mapping[str, Any]) -> str:
     if "factor" in found:
         wider = math.ceil(100.0 * found["factor"]) / 100.0
         passes.append(f"with limits {wider:.6g} times as wide, in the model too where they are its own")
-    return f"{message[:-1]}: it passes {', or '.join(passes)}." if passes else message
+    what = "it comes near its goals" if "lacks_weight" in found else "it passes"
+    return f"{message[:-1]}: {what} {', or '.join(passes)}." if passes else message
 
 
 def stalled(history: Sequence[Any], cost: float) -> bool:

@@ -222,7 +222,7 @@ class _DurationSearch:
             left.limit = min(left.limit, AFRESH_WORK)
             options = single_start(self.relaxed) | {"budget": left}
         plan = None
-        if self.budget is not None and self.tried:
+        if self.budget is not None and self.tried and not afresh:
             self.budget.charge_warm_start(problem)
         if self.plans and not afresh:
             nearest_duration = min(self.plans, key=lambda T: abs(math.log(T / duration)))
@@ -248,6 +248,7 @@ class _DurationSearch:
         allowed = Limits.tolerance if problem.limits is None else problem.limits.tolerance
         goal_missed = self.alone and problem.goal_specs is not None and bool(plan.missed_goals)  # which nothing keeps
         left = plan.status is Status.OUTSIDE_LIMITS  # also between the knots
+        left = left or (afresh and not plan.converged)  # of a share of the work
         if not (np.isfinite(plan.xs).all() and outside <= allowed) or left or goal_missed:
             return math.inf
         self.plans[duration] = plan
@@ -318,7 +319,8 @@ def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: 
             middle = 0.5 * (low + high)
             low, high = (middle, high) if misses(middle) else (low, middle)
         shorter = _AFRESH * high
-        if shorter < shortest or misses(shorter, afresh=True):
+        spent = search.budget is not None and search.budget.exhausted
+        if spent or shorter < shortest or misses(shorter, afresh=True):
             return
         low = high = shorter
 

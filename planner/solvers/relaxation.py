@@ -53,6 +53,7 @@ from planner.solvers.continuation import (
     stays_on_feet,
     with_smoother_friction,
 )
+from planner.solvers.engine import is_in_numpy
 from planner.solvers.gains import tracked_warm_start
 from planner.solvers.options import SolverOptions
 from planner.solvers.other_guesses import other_guesses, shaken, swings
@@ -199,7 +200,7 @@ class _Relaxation:
         if not is_at_goals(free):
             return direct
         if not meets_goals(free):  # no limits give it the weight that it lacks
-            self.is_kept = is_at_goals
+            self.is_kept, self.passing["lacks_weight"] = is_at_goals, 1.0
         family = WiderLimits.around(problem, free)
         lowest: tuple[float, Plan] | None = None
         for s, plan in self._branches(family, free):
@@ -359,8 +360,12 @@ class _Relaxation:
         us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
         return solve(states, penalties, us, max_iterations, None)
 
+    @property
+    def _in_numpy(self) -> bool:
+        return is_in_numpy(self.problem, self.options.rule)
+
     def _allowed(self, problem: Problem, iterations: int) -> int:
-        return iterations if self.budget is None else self.budget.iterations(problem, iterations)
+        return iterations if self.budget is None else self.budget.iterations(problem, iterations, 1, self._in_numpy)
 
     def _report(self, stage: str, factor: float, plan: Plan, kept: bool) -> bool:
         duration = float(plan.t[-1])
@@ -369,7 +374,7 @@ class _Relaxation:
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if self.budget is not None and stage != "direct":
-            self.budget.charge(self.problem, plan.nit)
+            self.budget.charge(self.problem, plan.nit, self._in_numpy)
             if self.budget.exhausted and not (kept and factor == 1.0):
                 raise _OutOfWorkError(self.budget.end)
         if self.callback is not None:

@@ -202,8 +202,8 @@ def solve(
 def judged_status(plan: Plan) -> Plan:
     """A converged plan whose status says if its steps do not resolve its motion, or if it misses a goal.
 
-    Of goals those count whose tolerance was stated. Machines with a rule of their own are judged by it, in a proof,
-    which shows the error of the steps of every plan.
+    Of goals those count that have a tolerance (see has_tolerances). Machines with a rule of their own are judged by it,
+    in a proof, which shows the error of the steps of every plan.
     """
     if plan.status is not Status.CONVERGED or plan.problem is None:
         return plan

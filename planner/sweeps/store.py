@@ -262,7 +262,8 @@ class Store:
     def controls(self, task: int) -> np.ndarray | None:
         """The controls (N, nu) of a finished task that converged, else None."""
         row = self.row(task)
-        return self.plan(task).us if row is not None and Status[row["status"]].converged else None
+        converged = row is not None and row["status"] in {one.name for one in Status if one.converged}
+        return self.plan(task).us if converged else None
 
     def _begin(self) -> None:
         """Reset to an empty table."""

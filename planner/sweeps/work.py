@@ -158,7 +158,7 @@ def run_batch(work: Work, tasks: list[int], continued: bool = False, controls: n
     for task in tasks:
         one, plan = _done(work, task, last if continued else None)
         done.append(one)
-        last = plan.us if plan is not None and plan.success else None
+        last = plan.us if plan is not None and plan.converged else None
     return BatchResult(done, last)
 
 

@@ -74,6 +74,9 @@ def test_not_on_the_edge_of_a_foot_that_carries_an_area():
     assert not saddle_of_energy(m, x, unactuated_basis(m))[1]
     with pytest.raises(PlannerError, match="does not stay on the ground"):
         static_equilibrium(m, x)
+    for hip in (-0.3, -0.2, -0.1, 0.1):  # the foot is tilted from the beginning, and one end of it bears all
+        with pytest.raises(PlannerError, match="does not stay on the ground"):
+            static_equilibrium(m, [0.0, 0.2, 0.0, hip])
 
 
 def test_a_machine_on_two_wheels_is_put_where_it_balances():

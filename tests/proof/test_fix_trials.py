@@ -41,7 +41,10 @@ def test_weights_are_raised_from_the_plan_that_still_lacks_them(monkeypatch):
     failed = [SimpleNamespace(passed=False, plan=k, proof=None) for k in range(9)]
     log, asked = trials(list(failed))
     assert asked._first_passing(SuggestedFix("", key="weights", value=7))[1] is None
-    assert [plan for _, plan in log] == ["plan", *range(fixes.MAX_WEIGHTS - 1)]  # each begins at the plan before, MAX_WEIGHTS at most
+    assert [plan for _, plan in log] == [
+        "plan",
+        *range(fixes.MAX_WEIGHTS - 1),
+    ]  # each begins at the plan before
     assert log[2][0] == [("weights", 7), ("weights.effort", 0), ("weights.effort", 1)]
     assert trials([None])[1]._first_passing(SuggestedFix("", key="weights", value=7))[1] is None
     log, asked = trials(list(failed))

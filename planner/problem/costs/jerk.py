@@ -250,7 +250,7 @@ def _with_jerk_weights(cost: Any, own: StateSpace, space: StateSpace) -> Cost:
         raise PlannerError("the cost has no TrackingCost, expected one for jerk: TrackingCost(...) + your own cost.")
     Q = sum(term.weights(space) for term in jerk)
     track: TrackingCost = others[k]
-    costs = [extended_cost(term, own, space) for term in others if term is not track]
+    costs = [extended_cost(term, own, space) for i, term in enumerate(others) if i != k]
     costs.insert(k, track.augmented(own, space, Q))
     return costs[0] if len(costs) == 1 else SumCost(*costs)
 

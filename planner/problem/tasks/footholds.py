@@ -41,8 +41,8 @@ def carried_stance(
         targets: Of frames.
     """
     mechanism, stepping = feet.mechanism, np.isin(feet.links, list(steps))
-    base = _base_dofs(mechanism, feet.links)
-    if not stepping.any() or not base.any():
+    base = _base_dofs(mechanism, feet.links[stepping])
+    if not base.any():
         return None
     trunk, n = Frame(int(np.flatnonzero(base)[-1]), np.eye(4)), feet.normals[stepping][0]
     ways = np.eye(mechanism.nv)[:, base]
@@ -71,8 +71,8 @@ def carried_stance(
 
 
 def _base_dofs(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
-    """(nv,) bool, the degrees of freedom that carry all the links (C,) and that no actuator drives."""
-    carry = np.ones(mechanism.nv, dtype=bool)
+    """(nv,) bool, the degrees of freedom that carry all the links (C,), and that no actuator drives; none of no link."""
+    carry = np.full(mechanism.nv, bool(len(links)))
     for link in np.unique(links):
         carry &= np.isin(np.arange(mechanism.nv), chain_of(mechanism.parent, int(link)))
     return carry & ~mechanism.directly_actuated

@@ -31,8 +31,8 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Su
     """
     if problem.requirements is not None and problem.requirements.goal is not None:
         return []
-    if plan.status is Status.INFEASIBLE:  # by its limits, with any weights
-        return []
+    if plan.status is Status.INFEASIBLE and "lacks_weight" not in plan.options.get("relaxation", {}):
+        return []  # by its limits, with any weights
     if proof is None:
         return _of_task(plan, problem)
     cost = tracking_of(problem.cost)

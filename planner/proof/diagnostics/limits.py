@@ -11,6 +11,7 @@ from planner.base.measured import Quantity
 from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import ANGLE
 from planner.model.couplings import fixed_dofs
+from planner.problem.joint_limits import OFF, is_word
 from planner.problem.limits import MODEL, Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -96,9 +97,9 @@ def _margin(limits: Limits | None, one: Excess) -> float:
 
 def _efforts(plan: Plan, problem: Problem, run: Replay) -> list[SuggestedFix]:
     limits = problem.limits
-    stated = limits is not None and limits.control is not None
-    if stated and limits.control == MODEL:
+    if limits is not None and is_word(limits.control, MODEL):
         return []
+    stated = limits is not None and limits.control is not None and not is_word(limits.control, OFF)
     planned = run.compiled.commands(np.repeat(plan.us, run.substeps, axis=0))
     own = list(efforts_in(run.compiled.model, run.twin.sim_of(run.plan_xs), planned))
     beyond = [one for one in own if one.beyond.max() > ROUNDING * min(np.ptp(one.range), np.abs(one.values).max())]

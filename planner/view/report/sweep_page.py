@@ -18,11 +18,13 @@ from typing import Any
 import numpy as np
 
 from planner.base.data_files import finite
+from planner.problem.plan import Status
 from planner.sweeps.grid import Grid
 from planner.sweeps.sweeping import CSV, PARQUET, Sweep
 from planner.view.report.markup import asset, number, script, table, write_page
 
 MAX_MAPS = 12
+_CONVERGED = {one.name for one in Status if one.converged}  # a task's status may be none of a plan
 MAX_CELLS = 20_000  # of all maps
 _OUTLIER_FACTOR = 4.0  # times the larger of the changes beside it
 _MIN_CHANGE = 0.1  # of the range over the map
@@ -70,7 +72,7 @@ def maps_of(grid: Grid) -> list[Map]:
 
 def mark_jumps(one: Map, rows: Iterable[dict[str, Any]]) -> None:
     """Find neighbours in different minima; `rows` are those of the map's tasks."""
-    features = {row["task"]: _features(row) for row in rows if row["status"] == "CONVERGED"}
+    features = {row["task"]: _features(row) for row in rows if row["status"] in _CONVERGED}
     longest = max(map(len, features.values()), default=0)
     values = np.full((*one.tasks.shape, longest), math.nan)
     for place, task in np.ndenumerate(one.tasks):
@@ -251,7 +253,7 @@ def _scale(title: str, name: str, one: Map, sweep: Sweep, rows: dict[int, dict[s
     found = {
         int(task): float(rows[int(task)][name])
         for task in one.tasks.flat
-        if int(task) in rows and rows[int(task)]["status"] == "CONVERGED" and math.isfinite(rows[int(task)][name])
+        if int(task) in rows and rows[int(task)]["status"] in _CONVERGED and math.isfinite(rows[int(task)][name])
     }
     if not found:
         return picture(title, "no task converged", one, sweep.grid, {})
