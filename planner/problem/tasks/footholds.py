@@ -71,7 +71,7 @@ def carried_stance(
 
 
 def _base_dofs(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
-    """(nv,) bool, the degrees of freedom that carry all the links (C,), and that no actuator drives; none of no link."""
+    """(nv,) bool, the degrees of freedom that carry all the links (C,) and that no actuator drives; none of no link."""
     carry = np.full(mechanism.nv, bool(len(links)))
     for link in np.unique(links):
         carry &= np.isin(np.arange(mechanism.nv), chain_of(mechanism.parent, int(link)))
