@@ -298,6 +298,13 @@ class DistantContacts:
         """The factor at which every object feels what may push it at the start; 1 where all is in touch."""
         return max((2.0 * REACH * gap / pair.law.ramp for pair, gap in self._pushing.items()), default=1.0)
 
+    def touches(self, xs: np.ndarray) -> bool:
+        """Whether the machine pushes an object at some state of xs (K, nx)."""
+        dynamics: Any = self.problem.dynamics
+        mechanism = dynamics.mechanism
+        forces = body_contact_forces(mechanism, xs[:, : mechanism.nq], xs[:, mechanism.velocities]).forces
+        return any(forces[:, k].any() for k, pair in enumerate(mechanism.body_contacts) if pair in self._pushing)
+
     @cached_property
     def _pushing(self) -> dict[BodyContact, float]:
         """Smooth contacts of a driven tree with one that is not, and their gaps at the start, m, 0 in touch."""

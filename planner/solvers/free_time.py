@@ -216,7 +216,7 @@ class _DurationSearch:
             self.is_cut = True
             raise _Cut
         problem = with_objective(retimed(base_problem(self.problem), duration), self.rest)
-        options = single_start(self.options) if self.tried else self.options
+        options: dict[str, Any] = single_start(self.options) if self.tried else self.options
         if afresh:
             left = WorkBudget(AFRESH_WORK) if self.budget is None else self.budget.part("afresh")
             left.limit = min(left.limit, AFRESH_WORK)

@@ -73,7 +73,7 @@ def is_settled(plan: Plan) -> bool:
 
 def stays_away(problem: Problem, plan: Plan) -> bool:
     """Whether a converged plan ends as far from a goal as it begins."""
-    if plan.status is not Status.CONVERGED:
+    if not plan.converged:
         return False
     for one in goals_of(problem, plan.xs):
         if one.times is None and np.isfinite(one.tolerance):

@@ -18,6 +18,7 @@ from planner.proof.diagnostics.suggested_fix import rounded_up
 from planner.proof.repair import Tools, repair
 from planner.proof.repair.fixes import FixTrial
 from planner.proof.repair.refinement import refine
+from planner.solvers.continuation import DistantContacts
 from planner.solvers.work import WorkBudget, work_of_proof, work_of_stage
 
 
@@ -408,3 +409,18 @@ def test_forces_that_only_the_stage_adds_need_a_shorter_one(tmp_path):
     assert (found.key, found.value) == ("dt", pytest.approx(0.5 * problem.dynamics.dt))
     proof.your_file.failures = [*failures, SimpleNamespace(name="unknown_stops")]
     assert clamped_between(None, problem, proof) == []
+
+
+def test_what_is_never_touched_asks_for_no_weight(tmp_path):
+    """From rest apart nothing changes the object's way: the gradient is zero, with any weight."""
+    model = """<mujoco><worldbody>
+      <body><joint name="hand" type="slide" axis="1 0 0" damping="1"/><geom size="0.02" mass="1"/></body>
+      <body pos="0.3 0 0"><joint name="puck" type="slide" axis="1 0 0" damping="1"/><geom size=".02" mass=".2"/></body>
+    </worldbody><actuator><motor joint="hand" ctrlrange="-5 5"/></actuator></mujoco>"""
+    keys = {"start": "[0.0, 0.0]", "goal": "{ puck = 0.1 }", "contacts": "{ penetration = 0.003, friction = 0.8 }"}
+    problem = file(tmp_path, model, keys)
+    plan = planner.solve(problem, SolverOptions(homotopy=False))
+    (found,) = suggested_fixes(plan)
+    assert (found.code, found.value) == ("untouched", None)
+    pushed = problem.dynamics.step(np.array([[0.265, 0.0, 0.5, 0.0]]), np.zeros((1, 1)))
+    assert DistantContacts(problem).touches(pushed)

@@ -20,6 +20,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.dynamics.protocol import rollout_states
 from planner.dynamics.quasi_static import quasi_static_controls
+from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.space import space_of
 from planner.problem.collision_free_path import collision_free_motion
 from planner.problem.constraints.clearance import pair_clearance_of
@@ -97,9 +98,10 @@ def first_guess(
 
 def _servos_along(problem: Problem) -> np.ndarray:
     """Controls (N, nu) with which servos go along the cost's reference; 0 of motors."""
-    tracking = tracking_of(problem.cost)
+    tracking, dynamics = tracking_of(problem.cost), problem.dynamics
     assert tracking is not None  # of a file's problem
-    return np.where(servos_of(problem.dynamics), tracking.u_ref, 0.0)
+    assert isinstance(dynamics, RigidBodyDynamics)
+    return np.where(servos_of(dynamics), tracking.u_ref, 0.0)
 
 
 def _closed(problem: Problem, goal: np.ndarray) -> ReferenceTrajectory | None:

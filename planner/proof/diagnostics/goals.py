@@ -14,13 +14,23 @@ from planner.problem.goals import GoalCheck, goals_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.tasks.cost import WEIGHT
-from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, of_file, rounded_up
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file, rounded_up
 from planner.proof.verdict import Proof
+from planner.solvers.continuation import DistantContacts
+from planner.solvers.trapped import stays_away
 
 TARGET_SHARE = 0.5  # of the tolerance: the error to aim at
 MIN_RAISE, MAX_RAISE = 3.0, 1e6  # limits of the factor on a weight
 _WEIGHTS = ("final_position", "final_velocity")
 _Raises = dict[int, tuple[float, dict[str, Any]]]  # by coordinate: factor on a weight, and the values of the finding
+
+
+def untouched(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """An object that is to be moved, and that the plan never touches: no weight of its goal has a gradient."""
+    family = DistantContacts(problem)
+    if not stays_away(problem, plan) or family.factor <= 1.0 or family.touches(plan.xs):
+        return []
+    return [no_fix("goal", "untouched")]
 
 
 def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:

@@ -63,6 +63,8 @@ SENTENCES = {
     # Goals and weights
     "goal_missed": "the plan ends {miss} from the goal of {goal}, and {tolerance} pass",
     "task_missed": "the plan is {miss} from {goal}, and {tolerance} pass",
+    "untouched": "The plan never touches what is to be moved: begin with the machine at it, give the motion more time, "
+    "or write a [[goal]] of the hand there at a time before.",
     "ignored_matters": "the plan leaves out {ignored}, and with it your file has {missed}",
     # The solve
     "rate_too_fast": "the fastest rate of the machine at its start is {rate:.3g} per s, {per_stage:.3g} times in a "
