@@ -5,6 +5,8 @@
 with J the Jacobian of the material point in contact, so that a foot that rolls does not slip. Its way is that of its
 centre along the ground from each knot at which it bears load to the next: a step counts from where it leaves the ground
 to where it lands, however it swings, and a trunk that sways does not count.
+
+Soft ground of a file lets small feet sink in by more than half of their radius when they land, which no floor does.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 
 MAX_SHARE = 0.25  # of a foot's way: slip above it is named
+MAX_SINKING = 0.5  # of a foot's radius: deeper is named
 ROLL_SHARE = 0.1  # of the height of the centre of mass: slip below it, and below STRIDE, is that of feet that deform
 
 
@@ -48,6 +51,22 @@ def skating(plan: Plan, problem: Problem) -> tuple[str, ...]:
     worst = int(np.argmax(np.where(skates, slip, 0.0)))
     name = mechanism.contacts[worst].name
     return (f"{name} slides {slip[worst]:.2g} m while it goes {way[worst]:.2g} m along the ground",)
+
+
+def sinking(plan: Plan, problem: Problem) -> tuple[str, ...]:
+    """A phrase about the round foot that sinks deepest into the ground, beside its radius, if above MAX_SINKING."""
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if mechanism is None or not mechanism.contacts or not np.isfinite(plan.xs).all():
+        return ()
+    qs, qds = plan.xs[:, : mechanism.nq], plan.xs[:, mechanism.velocities]
+    depths = contact_forces(mechanism, qs, qds).depths.max(axis=0)
+    radii = np.array([contact.radius for contact in mechanism.contacts])
+    shares = np.divide(depths, radii, out=np.zeros_like(depths), where=radii > 0.0)
+    worst = int(np.argmax(shares))
+    if shares[worst] <= MAX_SINKING:
+        return ()
+    name = mechanism.contacts[worst].name
+    return (f"{name} sinks {depths[worst]:.2g} m into the ground, with a radius of {radii[worst]:.2g} m",)
 
 
 def allowed_slip(mechanism: Mechanism, q: np.ndarray) -> float:
