@@ -45,7 +45,7 @@ from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
 from planner.proof.robustness.rollouts import MODES
 from planner.proof.same_step import same_step
-from planner.proof.skating import sinking, skating
+from planner.proof.skating import foot_penetration, skating
 from planner.proof.step_convergence import step_convergence
 from planner.proof.verdict import Proof
 
@@ -170,7 +170,7 @@ def prove(
         lost_with_gains=tuple(one for step in judged["feedback"] for one in step.failures) if mode == MODES[0] else (),
         not_checked=(
             *([f"without {' and '.join(untested)}"] if untested else []), *_said_in_file(given),
-            *_unjudged(plan, problem), *skating(plan, problem), *sinking(plan, problem),
+            *_unjudged(plan, problem), *skating(plan, problem), *foot_penetration(plan, problem),
         ),
     )  # fmt: skip
     if hold_seconds:

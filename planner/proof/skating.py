@@ -23,7 +23,7 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 
 MAX_SHARE = 0.25  # of a foot's way: slip above it is named
-MAX_SINKING = 0.5  # of a foot's radius: deeper is named
+MAX_PENETRATION_SHARE = 0.5  # of a foot's radius: deeper is named
 ROLL_SHARE = 0.1  # of the height of the centre of mass: slip below it, and below STRIDE, is that of feet that deform
 
 
@@ -53,8 +53,8 @@ def skating(plan: Plan, problem: Problem) -> tuple[str, ...]:
     return (f"{name} slides {slip[worst]:.2g} m while it goes {way[worst]:.2g} m along the ground",)
 
 
-def sinking(plan: Plan, problem: Problem) -> tuple[str, ...]:
-    """A phrase about the round foot that sinks deepest into the ground, beside its radius, if above MAX_SINKING."""
+def foot_penetration(plan: Plan, problem: Problem) -> tuple[str, ...]:
+    """A phrase about the round foot that sinks deepest into the ground, beside its radius, if above MAX_PENETRATION_SHARE."""
     mechanism = capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not mechanism.contacts or not np.isfinite(plan.xs).all():
         return ()
@@ -63,7 +63,7 @@ def sinking(plan: Plan, problem: Problem) -> tuple[str, ...]:
     radii = np.array([contact.radius for contact in mechanism.contacts])
     shares = np.divide(depths, radii, out=np.zeros_like(depths), where=radii > 0.0)
     worst = int(np.argmax(shares))
-    if shares[worst] <= MAX_SINKING:
+    if shares[worst] <= MAX_PENETRATION_SHARE:
         return ()
     name = mechanism.contacts[worst].name
     return (f"{name} sinks {depths[worst]:.2g} m into the ground, with a radius of {radii[worst]:.2g} m",)

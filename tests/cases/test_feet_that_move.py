@@ -15,7 +15,7 @@ from planner.problem.costs.frame import CLEARANCE, SlipCost
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, SLIP_SPEED, STANCE_TOLERANCES, WAY_SHARE
 from planner.problem.reaching_cost import with_slip
-from planner.proof.skating import sinking, skating
+from planner.proof.skating import foot_penetration, skating
 
 MONOPOD = """<mujoco model="monopod"><option timestep="0.002"/>
 <worldbody><geom name="floor" type="plane" size="0 0 1"/>
@@ -112,11 +112,11 @@ def test_a_foot_that_sinks_by_more_than_half_of_its_radius_is_named(forward):
     """Of 3 cm: a soft floor gives, and the film shows it."""
     down = forward.x0.copy()
     depth = planner.dynamics.contact_forces(forward.dynamics.mechanism, down[:4], np.zeros(4)).depths[0]
-    assert sinking(SimpleNamespace(xs=down[None]), forward) == ()
+    assert foot_penetration(SimpleNamespace(xs=down[None]), forward) == ()
     down[1] -= 0.014 - depth
-    assert sinking(SimpleNamespace(xs=down[None]), forward) == ()
+    assert foot_penetration(SimpleNamespace(xs=down[None]), forward) == ()
     down[1] -= 0.002
-    (said,) = sinking(SimpleNamespace(xs=down[None]), forward)
+    (said,) = foot_penetration(SimpleNamespace(xs=down[None]), forward)
     assert said == "geom 'foot' sinks 0.016 m into the ground, with a radius of 0.03 m"
 
 

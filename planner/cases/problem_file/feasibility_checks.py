@@ -10,13 +10,14 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.kinematics import center_of_mass, center_of_mass_jacobian
 from planner.dynamics.protocol import rollout_states
-from planner.model.capabilities import floating_dofs, unreached_dofs
+from planner.model.capabilities import unreached_dofs
 from planner.model.coordinates import coordinates_of
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import ROUNDING, goals_of
 from planner.problem.problem import Problem
+from planner.problem.tasks.momentum import undamped_floating_dofs
 
 MIN_JERK_PEAK = 1.875  # velocity of a minimum-jerk motion, over its mean
 
@@ -99,10 +100,9 @@ def check_momentum(problem: Problem, goal: np.ndarray) -> None:
     mechanism = dynamics.mechanism
     asked = {one.name: one.tolerance for one in goals_of(problem)}
     names = coordinates_of(dynamics)
-    floats = floating_dofs(mechanism) & (mechanism.damping == 0.0) & (mechanism.armature == 0.0)
+    floats = undamped_floating_dofs(mechanism, x0)
     slides = [i for i in np.flatnonzero(floats) if names[i].unit == "m" and names[i].name in asked]
-    falls = np.any(mechanism.gravity) and mechanism.gravcomp_mass.sum() < mechanism.mass.sum() * (1.0 - 1e-9)
-    if not slides or falls or mechanism.drags or np.any(x0[mechanism.velocities]):
+    if not slides:
         return
     shift = center_of_mass(mechanism, goal[: mechanism.nq]) - center_of_mass(mechanism, x0[: mechanism.nq])
     J = center_of_mass_jacobian(mechanism, goal[: mechanism.nq])[:, slides]

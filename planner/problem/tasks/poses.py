@@ -19,6 +19,7 @@ from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.collision_free_path import CollisionChecker
 from planner.problem.tasks.footholds import carried_stance
 from planner.problem.tasks.goal import Follow
+from planner.problem.tasks.momentum import kept_center_of_mass
 from planner.problem.tasks.pose_constraints import FOOT_SCALE, Feet, PoseConstraints, ResidualAndJacobian, both, feet_of
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
@@ -46,13 +47,14 @@ class _Search(NamedTuple):
     feet: Feet | None
     start: np.ndarray
     steps: frozenset[int]
+    kept_center: ResidualAndJacobian | None  # of a machine that nothing pushes from outside
 
 
 class _Way(NamedTuple):
     """How inverse kinematics may meet targets."""
 
     mask: np.ndarray  # (nv,) bool, degrees of freedom that may move
-    feet: ResidualAndJacobian | None  # what keeps feet on the ground
+    feet: ResidualAndJacobian | None  # what keeps feet on the ground, or the centre of mass of what floats
     begin: np.ndarray  # (nq,) the configuration from which it searches
 
 
@@ -91,7 +93,8 @@ def poses_of(
     """
     mechanism = task.mechanism
     q = x0[: mechanism.nq]
-    search = _Search(dynamics, ranges, seed, check, checker, constraints, feet_of(mechanism, q), q, steps)
+    feet, kept = feet_of(mechanism, q), kept_center_of_mass(mechanism, x0)
+    search = _Search(dynamics, ranges, seed, check, checker, constraints, feet, q, steps, kept)
     stages, found, at_rest = [0], [q], [not np.any(x0[mechanism.velocities])]
     if check:
         for path in task.follows:
@@ -225,6 +228,8 @@ def _pose(
     if residual <= 1.0 or not search.check:
         return best
     within = " within the ranges of the joints" if np.isfinite(ranges).any() else ""
+    if search.kept_center is not None:
+        within += ", since nothing pushes the machine from outside and its centre of mass stays"
     for target, label in zip(asked.targets, asked.labels, strict=True):
         if target.position is not None:
             near, alone = tried([target._replace(orientation=None, pointing=None)], {})
@@ -284,7 +289,8 @@ def _ways(
     Where the targets move some feet all joints move, with the other feet where they are and those elsewhere on the
     ground, or in the air and the others carrying the machine. Then, of a machine that steps, all, with its stance
     carried along. Then the actuated ones; all, with feet that stay; all, with feet elsewhere on the ground; and all
-    without feet, in the air or at a via point (`passed`). All of them for closed chains. Those with a goal in `joints`
+    without feet, in the air or at a via point (`passed`). All of them for closed chains, and for a machine that nothing
+    pushes from outside, whose centre of mass stays. Those with a goal in `joints`
     are fixed, and what nothing acts on.
     """
     dynamics, mechanism = search.dynamics, search.dynamics.mechanism
@@ -293,7 +299,9 @@ def _ways(
     actuated[prescribed] = True
     everything = np.ones(mechanism.nv, dtype=bool)
     feet = search.feet
-    if mechanism.has_closed_chains:
+    if search.kept_center is not None:
+        ways = [_Way(everything, search.kept_center, q)]
+    elif mechanism.has_closed_chains:
         ways = [_Way(everything, feet.fixed if feet is not None and feet.carry else None, q)]
     else:
         reached = everything if feet is None else ~unreached_dofs(mechanism, prescribed)
