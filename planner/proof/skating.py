@@ -54,7 +54,7 @@ def skating(plan: Plan, problem: Problem) -> tuple[str, ...]:
 
 
 def foot_penetration(plan: Plan, problem: Problem) -> tuple[str, ...]:
-    """A phrase about the round foot that sinks deepest into the ground, beside its radius, if above MAX_PENETRATION_SHARE."""
+    """A phrase about the round foot that sinks deepest, beside its radius, if above MAX_PENETRATION_SHARE."""
     mechanism = capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not mechanism.contacts or not np.isfinite(plan.xs).all():
         return ()
