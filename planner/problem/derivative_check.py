@@ -24,11 +24,12 @@ DERIVATIVE_BOUND = 1e-3
 """Relative error that passes: central differences have 1e-8, forward differences of a user 1e-6."""
 AGREES = 0.1  # of an error: differences at two lengths that are further apart are of no smooth function
 STEPS = (1e-4, 0.5e-4)  # of differences, relative to the state or control, at least to 1
-SMALL = 1e-3  # of the largest derivative of the same function: errors of smaller entries are relative to that
+# Of the largest derivative of the same function, of a cost at the same stage: smaller entries err relative to it.
+SMALL = 1e-3
 MAX_STAGES = 10  # of a cost, which is differenced one stage after the other
 STATES = 5  # at random, where none are given
-SPREAD = 0.3  # rad, m and units of controls, about the start
-MAX_ROWS = 30
+SPREADS = (0.3, 3.0, 30.0)  # rad, m and units of controls, about the start, in turn: penalties act far from it
+MAX_ROWS, FEW_ROWS = 30, 5  # of the table, where some are wrong and where none is
 
 
 class DerivativeEntry(NamedTuple):
@@ -59,14 +60,15 @@ class DerivativeCheck(NamedTuple):
 
     def __str__(self) -> str:
         wrong = sum(not one.passed for one in self.entries)
+        rows_shown = MAX_ROWS if wrong else FEW_ROWS
         ordered = sorted(self.entries, key=lambda one: -np.nan_to_num(one.error, nan=-1.0, posinf=np.inf))
         rows = [("derivative of", "by", "stage", "given", "differences", "relative error")]
         rows += [
             (one.of, one.by, str(one.stage), f"{one.given:.6g}", f"{one.differenced:.6g}",
              "not smooth" if np.isnan(one.error) else f"{one.error:.1e}{'' if one.passed else '  WRONG'}")
-            for one in ordered[:MAX_ROWS]
+            for one in ordered[:rows_shown]
         ]  # fmt: skip
-        more = len(self.entries) - MAX_ROWS
+        more = len(self.entries) - rows_shown
         tail = [f"and {more} more with smaller errors"] if more > 0 else []
         total = f"{wrong} of {len(self.entries)} derivatives differ from the values by more than {DERIVATIVE_BOUND:g}"
         return "\n".join([*aligned(rows), *tail, total])
@@ -102,8 +104,9 @@ def check_derivatives(part: Any, xs: Any = None, us: Any = None) -> DerivativeCh
     entries: list[DerivativeEntry] = []
     if dynamics is not None:
         entries += _of_dynamics(dynamics, space, xs, us, states, controls)
-    if cost is not None:
-        entries += _of_cost(cost, space, xs, us, states, controls)
+    # Each term of a sum alone: beside the weights of the end a wrong running term is hardly seen.
+    for one in () if cost is None else getattr(cost, "costs", (cost,)):
+        entries += _of_cost(one, space, xs, us, states, controls)
     return DerivativeCheck(tuple(entries))
 
 
@@ -128,8 +131,9 @@ def _trajectory(
     N = problem.N if problem else STATES if cost is None else getattr(cost, "N", None) or STATES
     rng, mechanism = np.random.default_rng(0), capabilities_of(dynamics).mechanism
     start = problem.x0 if problem else origin_of(space) if mechanism is None else mechanism.home
-    xs = space.integrate(np.tile(start, (N + 1, 1)), SPREAD * rng.normal(size=(N + 1, space.ndx)))
-    return xs, SPREAD * rng.normal(size=(N, nu)), space
+    sizes = np.array(SPREADS)[np.arange(N + 1) % len(SPREADS), None]
+    xs = space.integrate(np.tile(start, (N + 1, 1)), sizes * rng.normal(size=(N + 1, space.ndx)))
+    return xs, sizes[:-1] * rng.normal(size=(N, nu)), space
 
 
 def _of_dynamics(
@@ -167,7 +171,8 @@ def _of_cost(
     parts = [(model.q, i, name, stages) for i, name in enumerate(states)]
     parts += [(model.q, i, f"{name} at the end", [N]) for i, name in enumerate(states)]
     parts += [(model.r, j, name, stages) for j, name in enumerate(controls)]
-    scale = np.array([max(np.abs(model.q).max(initial=0.0), np.abs(model.r).max(initial=0.0))])
+    scale = np.abs(model.q).max(axis=1, initial=0.0)  # (N+1,) of each stage: one far out hides no other
+    scale[:N] = np.maximum(scale[:N], np.abs(model.r).max(axis=1, initial=0.0))
     entries = []
     for gradient, i, by, places in parts:
         rows = []
@@ -178,7 +183,7 @@ def _of_cost(
                 (dx if of_state else du)[n, i] = h
                 return np.array([cost.value(space.integrate(xs, dx), us + du)])
 
-            rows.append(_compared(gradient[n, i : i + 1], along, np.ones(1), scale))
+            rows.append(_compared(gradient[n, i : i + 1], along, np.ones(1), scale[n : n + 1]))
         k = _worst(np.array([error[0] for _, error in rows]))
         (found,), (error,) = rows[k]
         entries.append(

@@ -151,7 +151,7 @@ class Limits:
         if self.control is None or is_word(self.control, OFF):
             return None
         if isinstance(self.control, str):
-            choice("the limits' control", self.control, (MODEL, OFF))
+            choice("the limits' control, unless numbers,", self.control, (MODEL, OFF))
             machine = with_names(mechanism, "control")
             lower, upper = model_bounds(machine, nu)
             servos = servo_bounds(machine, dynamics.dt, space_of(dynamics).ndx)
@@ -314,7 +314,7 @@ class Limits:
         elif "position" in named:
             machine = mechanism
             if isinstance(self.position, str):
-                choice("the limits' position", self.position, (MODEL, OFF))
+                choice("the limits' position, unless numbers,", self.position, (MODEL, OFF))
             found = model_ranges(machine, self.margin)
             if is_word(self.position, MODEL) and machine.couplings:
                 wide = np.array([[one.model_lower, one.model_upper] if (one := found.get(i)) else [-np.inf, np.inf]
@@ -348,7 +348,7 @@ class Limits:
             most, found = number("the limits' velocity", given, greater_than=0.0), {}
             given = {name: most for name in machine.joint_names if name}
         if isinstance(given, str):
-            choice("the limits' velocity", given, (MODEL, OFF))
+            choice("the limits' velocity, unless numbers,", given, (MODEL, OFF))
             return found
         for joint, value in given.items():
             links = machine.joint(joint)

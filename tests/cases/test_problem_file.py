@@ -9,6 +9,7 @@ import pytest
 from carts import refuse, write
 from machines import FAST_FINGER
 from places import ROOT
+from problem_files import ARM, USUAL
 
 import planner
 from planner.cases.problem_file import load, of_table
@@ -296,3 +297,14 @@ def test_plans_of_before_there_were_substeps_have_none(tmp_path):
     table = {name: value for name, value in problem.parameters.items() if name != "substeps"}
     assert of_table(table, problem.twin).dynamics.substeps == 1
     assert of_table(problem.parameters, problem.twin).dynamics.substeps == problem.dynamics.substeps
+
+
+def test_an_angle_of_more_than_a_turn_may_be_meant_in_degrees(tmp_path):
+    """180 on a hinge without a range is 28.6 turns: it is planned as written, and said."""
+    (tmp_path / "arm.xml").write_text(ARM.format(**USUAL))
+    for start, said in (("{ shoulder = 180 }", True), ("{ shoulder = 3.14 }", False)):
+        (tmp_path / "p.toml").write_text(
+            f'model = "arm.xml"\nstart = {start}\ngoal = {{ elbow = 0.5 }}\nduration = 1.0\n'
+        )
+        notes = " ".join(load(tmp_path / "p.toml").notes)
+        assert ("28.6 turns; 180 degrees are 3.14159" in notes) == said

@@ -12,7 +12,7 @@ from problem_files import ARM, POLE, USUAL, arm, cured, file, tried, without_lim
 import planner
 from planner import SolverOptions
 from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
-from planner.proof.diagnostics.solving import not_a_minimum
+from planner.proof.diagnostics.solving import not_a_minimum, other_model
 from planner.proof.diagnostics.stage import clamped_between, rounded_step
 from planner.proof.diagnostics.suggested_fix import rounded_up
 from planner.proof.repair import Tools, repair
@@ -424,3 +424,13 @@ def test_what_is_never_touched_asks_for_no_weight(tmp_path):
     assert (found.code, found.value) == ("untouched", None)
     pushed = problem.dynamics.step(np.array([[0.265, 0.0, 0.5, 0.0]]), np.zeros((1, 1)))
     assert DistantContacts(problem).touches(pushed)
+
+
+def test_another_model_than_the_plans_is_no_matter_of_time(tmp_path):
+    problem = arm(tmp_path)
+    wrong = SimpleNamespace(name="mass_matrix_error")
+    proof = SimpleNamespace(parity=SimpleNamespace(failures=[wrong]))
+    (found,) = other_model(None, problem, proof)
+    assert (found.code, found.value) == ("other_model", None)
+    proof.parity.failures = [wrong, SimpleNamespace(name="unmodelled_elements")]
+    assert other_model(None, problem, proof) == []

@@ -9,7 +9,7 @@ from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance, GoalMark
 from planner.problem.default_appearance import MAX_CURVES, small_multiples
-from planner.view.render.camera import swept_box, whole_motion
+from planner.view.render.camera import directions, swept_box, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.scene import Scene
@@ -176,3 +176,24 @@ def test_panels_hold_every_curve_and_none_too_many():
         assert [index for _, curves in panels for index, _ in curves] == list(range(number))
         assert all(0 < len(curves) <= MAX_CURVES for _, curves in panels)
     assert [title for title, _ in small_multiples("Angles", [(0, "a"), (1, "b")])] == ["Angles"]
+
+
+@pytest.mark.parametrize("tilt", [-0.8, 0.8])
+def test_a_camera_sees_all_corners_of_what_moves_towards_it(tilt):
+    """The near end of an arm is far from both corners of its box along the axes that lie on a diagonal."""
+    made, model = film(poses=((tilt, 0.0),), upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))
+    seen = replace(made.appearance, azimuth=0.0, elevation=0.0)
+    look_at, distance = whole_motion([made], model, seen, 2.0, False, words=False)
+    ahead, right, up = directions(seen.azimuth, seen.elevation)
+    mujoco = load_mujoco()
+    data, half = mujoco.MjData(model), np.tan(0.5 * np.radians(model.vis.global_.fovy))
+    for qpos in made.path_qpos:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        for geom in np.flatnonzero(model.geom_bodyid > 0):
+            for corner in np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * model.geom_aabb[geom, 3:]:
+                local = model.geom_aabb[geom, :3] + corner
+                point = data.geom_xpos[geom] + data.geom_xmat[geom].reshape(3, 3) @ local - look_at
+                depth = distance + point @ ahead
+                assert abs(point @ up) <= half * depth
+                assert abs(point @ right) <= 2.0 * half * depth

@@ -75,7 +75,8 @@ def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path
     text = page_of(plan, proof_of(), tmp_path, "Not asked for.").text
     expected = (
         "PASS", "(open-loop), without friction loss; feasible, optimal, robust with its gains", "Within every bound.",
-        "Not checked: without friction loss.", "Video", "Not asked for.", "Pictures", "Proof", "Code verification",
+        "Beside the verdict: without friction loss.", "Not checked: whether the model", "Video", "Not asked for.",
+        "Pictures", "Proof", "Code verification",
         "Mass matrix", "3e-14", "≤ 1e-10", "pass", "Contact <is> solved otherwise.", "Solution verification",
         "0.002 in", "1.5 1/s", "shown", "Validation", "No experiment was made", "Solver",
         Status.CONVERGED.value, "Parameters of the case spring", "height", "20", "rk4", "0.1.0",

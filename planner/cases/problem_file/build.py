@@ -105,7 +105,7 @@ from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
 from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.limits import Limits
-from planner.problem.model_lint import ranges_in_degrees
+from planner.problem.model_lint import angles_in_degrees, ranges_in_degrees
 from planner.problem.objective import durations_or_default, with_objective
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import PROBLEM_FILE, Recipe
@@ -118,7 +118,7 @@ from planner.solvers.periodic_boundary import PARAMETER
 NAME = PROBLEM_FILE
 GAIN = 1e-4  # of the cost, by an iteration at kinks of contact, where more are worth nothing
 # What is done by itself and told at once.
-TOLD = ("model", "start", "contacts", "goal", "closed", "settle", "stops", "gait", "avoid", "dt", "substeps")
+TOLD = ("model", "start", "contacts", "goal", "angles", "closed", "settle", "stops", "gait", "avoid", "dt", "substeps")
 # Of the cost, which is about 1: what an iteration gains below it shows in no picture of the motion. Of closed chains it
 # counts what is gained, not only what is promised: towards the end less than a hundredth of the promise comes, perhaps
 # because Gauss-Newton leaves out how the forces of chains turn.
@@ -291,6 +291,8 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed, substeps)
     if told:
         reasons["start"] = told
+    if turns := angles_in_degrees(mechanism, {"start": x0, "goal": goal}):
+        reasons["angles"] = turns
     if mechanism.contacts_choice:
         reasons["contacts"] = f"{mechanism.contacts_choice}."
     if tasked or cycle is not None:

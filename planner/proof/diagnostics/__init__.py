@@ -15,7 +15,14 @@ from planner.proof.diagnostics.effort import longer, more_time, passing_duration
 from planner.proof.diagnostics.goals import larger_weights, untouched, without_ignored
 from planner.proof.diagnostics.limits import fixed_joints, wider_margin, within_limits
 from planner.proof.diagnostics.soft_equalities import soft_equalities
-from planner.proof.diagnostics.solving import first_guess, more_iterations, not_a_minimum, nothing_known, other_guesses
+from planner.proof.diagnostics.solving import (
+    first_guess,
+    more_iterations,
+    not_a_minimum,
+    nothing_known,
+    other_guesses,
+    other_model,
+)
 from planner.proof.diagnostics.stage import calmer_gains, clamped_between, shorter_stage
 from planner.proof.diagnostics.suggested_fix import SuggestedFix
 from planner.proof.diagnostics.velocity_weight import penalize_velocity
@@ -24,9 +31,9 @@ from planner.proof.verdict import Proof
 __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 
 _CAUSES = (
-    standing_goal, gait_needed, first_guess, avoid_contact, fixed_joints, untouched, more_time, passing_duration,
-    penalize_velocity, within_limits, without_ignored, more_iterations, shorter_stage, calmer_gains, clamped_between,
-    wider_margin, larger_weights, other_guesses, falling, not_a_minimum, soft_equalities,
+    other_model, standing_goal, gait_needed, first_guess, avoid_contact, fixed_joints, untouched, more_time,
+    passing_duration, penalize_velocity, within_limits, without_ignored, more_iterations, shorter_stage, calmer_gains,
+    clamped_between, wider_margin, larger_weights, other_guesses, falling, not_a_minimum, soft_equalities,
 )  # fmt: skip
 _OF_CYCLES = (avoid_contact, fixed_joints, within_limits, more_iterations, failing_cycle)
 

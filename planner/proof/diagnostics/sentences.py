@@ -79,6 +79,7 @@ SENTENCES = {
     "minimum.",
     "saddle": "The solve ended where the gradient vanishes, and in one direction the cost still falls, by a curvature "
     "of {curvature:.3g}: ask `planner prove --feasible`, for which the plan need not be a minimum.",
+    "other_model": "The model that is replayed has other numbers than the plan's: plan again with it.",
     "unknown": "No cause of {failed} is known: give the motion more than {duration}, or a goal nearer to its start; "
     "docs/questions.md has what others met.",
     # The stage

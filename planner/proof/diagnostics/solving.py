@@ -103,6 +103,13 @@ def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     return []
 
 
+def other_model(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """The model that is replayed, where its numbers are not the plan's."""
+    wrong = {} if proof is None else {one.name for one in proof.parity.failures}
+    numbers = {"mass_matrix_error", "bias_force_error", "actuator_force_error", "acceleration_error"}
+    return [no_fix("model", "other_model")] if wrong and wrong <= numbers else []
+
+
 def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> SuggestedFix:
     """The finding without a known cause: the first that failed, but of the replay that was judged."""
     failed = []

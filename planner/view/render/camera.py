@@ -16,7 +16,7 @@ from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.appearance import Appearance
 from planner.view.render.film import Film
-from planner.view.render.shapes import SHOWN_GROUPS, BoxCorners, LinkCapsules, drawn, geom_boxes, moving
+from planner.view.render.shapes import SHOWN_GROUPS, BoxCorners, LinkCapsules, drawn, moving
 
 _MARGIN, _NARROW_MARGIN = 1.25, 1.06  # the picture's half sizes over the motion's, with words around it and without
 # Of half the picture's height: how far a motion is put below its middle, where there is room; where the free part of a
@@ -100,12 +100,13 @@ def swept_points(model: Any, path: np.ndarray, scenery: np.ndarray) -> np.ndarra
     data = mujoco.MjData(model)
     moved = moving(model) & ~scenery[model.geom_bodyid]
     geoms = np.flatnonzero(moved & drawn(model) if np.any(moved & drawn(model)) else moved)
+    boxes = BoxCorners(model, geoms)
     bodies, capsules = np.flatnonzero(~scenery & _carrying(model))[1:], LinkCapsules(model)
     swept = []
     for qpos in path:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        swept += [*geom_boxes(model, data, geoms), data.xpos[bodies], capsules.ends(data)]
+        swept += [boxes.at(data), data.xpos[bodies], capsules.ends(data)]
     points = np.concatenate([np.reshape(one, (-1, 3)) for one in swept])
     if len(points):
         return points

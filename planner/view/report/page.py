@@ -118,8 +118,8 @@ def _unchecked(proof: Proof | None) -> str:
         lacking = " and ".join(proof.planned_without)
         sentences.append(f"The plan was made without {lacking}; the replay in your file (step 6) had all of it.")
     if proof is not None and proof.not_checked:
-        sentences.append(f"Not checked: {'; '.join(proof.not_checked)}.")
-    elif proof is not None:
+        sentences.append(f"Beside the verdict: {'; '.join(proof.not_checked)}.")
+    if proof is not None:
         sentences.append("Not checked: whether the model is the machine (see Validation under Proof).")
     return "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
 
