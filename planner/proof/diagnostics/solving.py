@@ -105,7 +105,7 @@ def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
 
 def other_model(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """The model that is replayed, where its numbers are not the plan's."""
-    wrong = {} if proof is None else {one.name for one in proof.parity.failures}
+    wrong: set[str] = set() if proof is None else {one.name for one in proof.parity.failures}
     numbers = {"mass_matrix_error", "bias_force_error", "actuator_force_error", "acceleration_error"}
     return [no_fix("model", "other_model")] if wrong and wrong <= numbers else []
 
