@@ -64,14 +64,13 @@ def saddle_of_energy(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> t
     """Solve for zero force along the directions free (nv, n): the state (nx,), and whether it is one near x (nx,).
 
     Newton's method with the signed eigenvalues of the Hessian, damped by the norm of the force. All contacts that bear
-    load at x still do, and so do all of each link that bears load: no flat foot is put on its edge.
+    load at x still do, and so do all of the same sole: no flat foot is put on its edge.
     """
     space, enough = mechanism.space, AT_REST * weight(mechanism)
     start, uphill, loaded = x, _uphill(mechanism, free, x[None])[0], _bear_load(mechanism, x)
     for _ in range(STEPS):
         if np.abs(uphill).max() < enough:
-            bear, links = _bear_load(mechanism, x), np.array([one.link for one in mechanism.contacts])
-            return x, bool(bear[loaded | np.isin(links, links[bear])].all())
+            return x, bool(_bear_load(mechanism, x)[loaded].all() and not _is_on_an_edge(mechanism, x))
         ways = _across(mechanism, x[: mechanism.nq], free)
         by_q = ways @ ways.T @ _slopes(mechanism, free, x) @ ways @ ways.T
         step = newton_step(by_q, ways @ (ways.T @ uphill), LONGEST_STEP, signed=True)
@@ -86,6 +85,22 @@ def saddle_of_energy(mechanism: Mechanism, x: np.ndarray, free: np.ndarray) -> t
         if np.abs(space.difference(x, start)).max() > MAX_LEAN:
             break
     return x, False
+
+
+def _is_on_an_edge(mechanism: Mechanism, x: np.ndarray) -> bool:
+    """Whether a link bears load at a state (nx,) with a part of its sole: others lie beside it, off the ground.
+
+    A sole that leans by at most MAX_LEAN is as far off the ground as that lean lifts it; the upper end of a leg is not.
+    """
+    ground, bear = contact_forces(mechanism, x[: mechanism.nq], np.zeros(mechanism.nv)), _bear_load(mechanism, x)
+    links = np.array([one.link for one in mechanism.contacts])
+    for k in np.flatnonzero(~bear):
+        loaded = bear & (links == links[k])
+        if loaded.any():
+            beside = np.linalg.norm(ground.points[loaded] - ground.points[k], axis=1).max()
+            if -ground.depths[k] <= MAX_LEAN * beside:
+                return True
+    return False
 
 
 def _bear_load(mechanism: Mechanism, x: np.ndarray) -> np.ndarray:

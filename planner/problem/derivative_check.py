@@ -28,7 +28,7 @@ STEPS = (1e-4, 0.5e-4)  # of differences, relative to the state or control, at l
 SMALL = 1e-3
 MAX_STAGES = 10  # of a cost, which is differenced one stage after the other
 STATES = 5  # at random, where none are given
-SPREADS = (0.3, 3.0, 30.0)  # rad, m and units of controls, about the start, in turn: penalties act far from it
+SPREADS = (0.3, 3.0, 30.0)  # rad, m and units of controls, about the start, one trajectory each
 MAX_ROWS, FEW_ROWS = 30, 5  # of the table, where some are wrong and where none is
 
 
@@ -93,7 +93,9 @@ def check_derivatives(part: Any, xs: Any = None, us: Any = None) -> DerivativeCh
     cost = problem.cost if problem else part if callable(getattr(part, "quadratize", None)) else None
     if dynamics is None and cost is None:
         raise PlannerError(f"check_derivatives() was given {short_repr(part)}, expected a Problem, dynamics or a cost.")
-    xs, us, space = _trajectory(problem, dynamics, cost, xs, us)
+    spreads = SPREADS if xs is None and us is None else SPREADS[:1]
+    tried = [_trajectory(problem, dynamics, cost, xs, us, spread) for spread in spreads]
+    xs, us, space = tried[0]
     if dynamics is None:
         states = [f"x[{i}]" for i in range(space.ndx)]
     else:
@@ -105,15 +107,31 @@ def check_derivatives(part: Any, xs: Any = None, us: Any = None) -> DerivativeCh
     if dynamics is not None:
         entries += _of_dynamics(dynamics, space, xs, us, states, controls)
     # Each term of a sum alone: beside the weights of the end a wrong running term is hardly seen.
+    # Penalties act far from the start, where others may not be defined.
     for one in () if cost is None else getattr(cost, "costs", (cost,)):
-        entries += _of_cost(one, space, xs, us, states, controls)
+        name, worst = type(one).__name__ if one is not cost else "cost", dict[str, DerivativeEntry]()
+        for k, (xs, us, _) in enumerate(tried):
+            if k > 0 and not _is_defined(one, xs, us):
+                continue
+            for entry in _of_cost(name, one, space, xs, us, states, controls):
+                known = worst.setdefault(entry.by, entry)
+                if np.nan_to_num(entry.error, nan=-1.0) > np.nan_to_num(known.error, nan=-1.0):
+                    worst[entry.by] = entry
+        entries += worst.values()
     return DerivativeCheck(tuple(entries))
 
 
+def _is_defined(cost: Any, xs: np.ndarray, us: np.ndarray) -> bool:
+    """Whether a cost has finite values and gradients along states (N+1, nx) and controls (N, nu)."""
+    with np.errstate(all="ignore"):
+        model = cost.quadratize(xs, us)
+        return bool(np.isfinite(cost.value(xs, us)) and np.isfinite(model.q).all() and np.isfinite(model.r).all())
+
+
 def _trajectory(
-    problem: Problem | None, dynamics: Any, cost: Any, xs: Any, us: Any
+    problem: Problem | None, dynamics: Any, cost: Any, xs: Any, us: Any, spread: float
 ) -> tuple[np.ndarray, np.ndarray, StateSpace]:
-    """The states and controls that are given, else random ones, and their space."""
+    """The states and controls that are given, else random ones that far from the start, and their space."""
     if dynamics is not None:
         space, nu = space_of(dynamics), dynamics.nu
     else:
@@ -131,9 +149,8 @@ def _trajectory(
     N = problem.N if problem else STATES if cost is None else getattr(cost, "N", None) or STATES
     rng, mechanism = np.random.default_rng(0), capabilities_of(dynamics).mechanism
     start = problem.x0 if problem else origin_of(space) if mechanism is None else mechanism.home
-    sizes = np.array(SPREADS)[np.arange(N + 1) % len(SPREADS), None]
-    xs = space.integrate(np.tile(start, (N + 1, 1)), sizes * rng.normal(size=(N + 1, space.ndx)))
-    return xs, sizes[:-1] * rng.normal(size=(N, nu)), space
+    xs = space.integrate(np.tile(start, (N + 1, 1)), spread * rng.normal(size=(N + 1, space.ndx)))
+    return xs, spread * rng.normal(size=(N, nu)), space
 
 
 def _of_dynamics(
@@ -164,13 +181,19 @@ def _of_dynamics(
 
 
 def _of_cost(
-    cost: Any, space: StateSpace, xs: np.ndarray, us: np.ndarray, states: Sequence[str], controls: Sequence[str]
+    name: str,
+    cost: Any,
+    space: StateSpace,
+    xs: np.ndarray,
+    us: np.ndarray,
+    states: Sequence[str],
+    controls: Sequence[str],
 ) -> list[DerivativeEntry]:
     N, model = len(us), cost.quadratize(xs, us)
     stages = np.unique(np.linspace(0, N - 1, min(N, MAX_STAGES)).astype(int)).tolist()
-    parts = [(model.q, i, name, stages) for i, name in enumerate(states)]
-    parts += [(model.q, i, f"{name} at the end", [N]) for i, name in enumerate(states)]
-    parts += [(model.r, j, name, stages) for j, name in enumerate(controls)]
+    parts = [(model.q, i, of, stages) for i, of in enumerate(states)]
+    parts += [(model.q, i, f"{of} at the end", [N]) for i, of in enumerate(states)]
+    parts += [(model.r, j, of, stages) for j, of in enumerate(controls)]
     scale = np.abs(model.q).max(axis=1, initial=0.0)  # (N+1,) of each stage: one far out hides no other
     scale[:N] = np.maximum(scale[:N], np.abs(model.r).max(axis=1, initial=0.0))
     entries = []
@@ -186,9 +209,7 @@ def _of_cost(
             rows.append(_compared(gradient[n, i : i + 1], along, np.ones(1), scale[n : n + 1]))
         k = _worst(np.array([error[0] for _, error in rows]))
         (found,), (error,) = rows[k]
-        entries.append(
-            DerivativeEntry("cost", by, places[k], float(gradient[places[k], i]), float(found), float(error))
-        )
+        entries.append(DerivativeEntry(name, by, places[k], float(gradient[places[k], i]), float(found), float(error)))
     return entries
 
 

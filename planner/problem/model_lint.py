@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from planner.dynamics.joint_forces import actuator_forces, actuator_lengths
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.model.actuators import INTEGRATOR
 from planner.model.couplings import contradiction, fixed_dofs
-from planner.model.mechanism import SCREW, Mechanism
+from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import machine_roots
 from planner.model.mjcf.facts import Record, free_bases, has_ground, overlaps
 from planner.model.mjcf.model_index import ModelIndex, gravity_of
@@ -90,16 +91,20 @@ def ranges_in_degrees(ranges: np.ndarray) -> list[ModelWarning]:
     return [ModelWarning(words, '<compiler angle="radian"/>, if that is so')]
 
 
-def angles_in_degrees(mechanism: Mechanism, states: dict[str, np.ndarray]) -> str:
-    """A sentence about the hinge of states (nx,), by what they are, that is more than a turn from zero; "" for none."""
-    hinges = np.flatnonzero((mechanism.kind == SCREW) & np.any(mechanism.S[:, :3] != 0.0, axis=1))
-    for what, x in states.items():
-        for dof in hinges:
-            angle = float(x[mechanism.q_address[dof]])
-            if abs(angle) > 2.0 * np.pi:
-                name, turns = mechanism.joint_of(int(dof)), abs(angle) / (2.0 * np.pi)
-                degrees = f"{angle:.6g} degrees are {np.radians(angle):.6g}"
-                return f"{what} has {name} at {angle:.6g} rad, which is {turns:.3g} turns; {degrees}."
+def angles_in_degrees(mechanism: Mechanism, named: Sequence[tuple[str, Any]]) -> str:
+    """A sentence about a hinge that a table of joints' positions has more than a turn from zero; "" for none.
+
+    Args:
+        mechanism: The machine.
+        named: What each table is, and the table; what is no table is left out.
+    """
+    places = {name: links.start for name, links in zip(mechanism.joint_names, mechanism.joint_links, strict=True)}
+    for what, table in named:
+        for name, angle in table.items() if isinstance(table, Mapping) else ():
+            turns = mechanism.S[places[name], :3].any() if name in places else False
+            if turns and isinstance(angle, (int, float)) and abs(angle) > 2.0 * np.pi:
+                count, degrees = abs(angle) / (2.0 * np.pi), f"{angle:.6g} degrees are {np.radians(angle):.6g}"
+                return f"{what} has joint {name!r} at {angle:.6g} rad, which is {count:.3g} turns; {degrees}."
     return ""
 
 

@@ -17,7 +17,7 @@ from planner.dynamics.contact_kinematics import PlaneContactKinematics
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import LinkPlaces, center_of_mass
 from planner.dynamics.statics import STRIDE
-from planner.model.capabilities import capabilities_of, stands_on_ground
+from planner.model.capabilities import capabilities_of, roots, stands_on_ground
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -61,7 +61,10 @@ def foot_penetration(plan: Plan, problem: Problem) -> tuple[str, ...]:
     qs, qds = plan.xs[:, : mechanism.nq], plan.xs[:, mechanism.velocities]
     depths = contact_forces(mechanism, qs, qds).depths.max(axis=0)
     radii = np.array([contact.radius for contact in mechanism.contacts])
-    shares = np.divide(depths, radii, out=np.zeros_like(depths), where=radii > 0.0)
+    tree = roots(mechanism)
+    driven = np.isin(tree, tree[mechanism.directly_actuated])  # objects may be of anything
+    counts = (radii > 0.0) & driven[[contact.link for contact in mechanism.contacts]]
+    shares = np.divide(depths, radii, out=np.zeros_like(depths), where=counts)
     worst = int(np.argmax(shares))
     if shares[worst] <= MAX_PENETRATION_SHARE:
         return ()

@@ -305,6 +305,17 @@ class DistantContacts:
         forces = body_contact_forces(mechanism, xs[:, : mechanism.nq], xs[:, mechanism.velocities]).forces
         return any(forces[:, k].any() for k, pair in enumerate(mechanism.body_contacts) if pair in self._pushing)
 
+    def concerns(self, error: Callable[[np.ndarray], np.ndarray]) -> bool:
+        """Whether an error (K,) of states (K, nx) depends on objects alone, by small changes of the start."""
+        dynamics: Any = self.problem.dynamics
+        mechanism, x0, root = dynamics.mechanism, self.problem.x0, roots(dynamics.mechanism)
+        driven = np.isin(root, root[mechanism.directly_actuated])
+        changes = np.zeros((mechanism.nv + 1, mechanism.space.ndx))
+        changes[np.arange(mechanism.nv), np.arange(mechanism.nv)] = 1e-3
+        values = error(mechanism.space.integrate(np.tile(x0, (len(changes), 1)), changes))
+        moves = np.abs(values[:-1] - values[-1]) > 1e-9
+        return bool(moves[~driven].any() and not moves[driven].any())
+
     @cached_property
     def _pushing(self) -> dict[BodyContact, float]:
         """Smooth contacts of a driven tree with one that is not, and their gaps at the start, m, 0 in touch."""

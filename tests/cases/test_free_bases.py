@@ -115,3 +115,21 @@ def test_a_frame_of_what_floats_goes_where_its_centre_of_mass_stays(tmp_path):
     (tmp_path / "away.toml").write_text(text)
     with pytest.raises(PlannerError, match="nothing pushes the machine from outside and its centre of mass stays"):
         load(tmp_path / "away.toml")
+
+
+def test_a_base_that_is_prescribed_goes_where_its_way_takes_it(tmp_path):
+    base = "".join(
+        f'<joint name="{a}" type="slide" axis="{v}"/>' for a, v in (("x", "1 0 0"), ("y", "0 1 0"), ("z", "0 0 1"))
+    )
+    (tmp_path / "crane.xml").write_text(
+        f"""<mujoco><option gravity="0 0 0"/><worldbody><body>{base}<geom size=".1" mass="5"/>
+        <body pos=".2 0 0"><joint name="e" axis="0 1 0"/><geom size=".03" mass="1"/>
+        <site name="tip" pos=".3 0 0"/></body></body></worldbody>
+        <actuator><motor joint="e" ctrlrange="-5 5"/></actuator></mujoco>"""
+    )
+    keys = 'model = "crane.xml"\nstart = {}\nduration = 1.0\n[[goal]]\nframe = "tip"\nposition = [1.5, 0.0, 0.0]\n'
+    (tmp_path / "free.toml").write_text(keys)
+    with pytest.raises(PlannerError, match="nothing pushes the machine from outside"):
+        load(tmp_path / "free.toml")
+    (tmp_path / "held.toml").write_text('prescribed = ["x", "y", "z"]\n' + keys)
+    assert load(tmp_path / "held.toml").problem.N > 0

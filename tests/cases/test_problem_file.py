@@ -308,3 +308,7 @@ def test_an_angle_of_more_than_a_turn_may_be_meant_in_degrees(tmp_path):
         )
         notes = " ".join(load(tmp_path / "p.toml").notes)
         assert ("28.6 turns; 180 degrees are 3.14159" in notes) == said
+    (tmp_path / "p.toml").write_text(
+        'model = "arm.xml"\nstart = {}\nduration = 1.0\n[[goal]]\njoints = { elbow = 90 }\n'
+    )
+    assert "goal 1 has joint 'elbow' at 90 rad" in " ".join(load(tmp_path / "p.toml").notes)

@@ -79,6 +79,17 @@ def test_not_on_the_edge_of_a_foot_that_carries_an_area():
             static_equilibrium(m, [0.0, 0.2, 0.0, hip])
 
 
+def test_the_upper_end_of_a_leg_is_no_part_of_its_sole():
+    """A leg drawn as a capsule has a contact at either end, and stands on the lower one."""
+    foot = '<geom size=".03" pos="0 0 -.6" mass="0"/>'
+    leg = '<geom type="capsule" size=".03" fromto="0 0 -.6 0 0 -.1" mass="0"/>'
+    m, x = point_foot(POINT_FOOT.replace(foot, leg)), np.array([0.0, 0.2, 0.0, 0.1])
+    assert len(m.contacts) == 2
+    np.testing.assert_allclose(
+        static_equilibrium(m, x)[1:4], static_equilibrium(point_foot(POINT_FOOT), x)[1:4], atol=1e-3
+    )
+
+
 def test_a_machine_on_two_wheels_is_put_where_it_balances():
     """A bent trunk leans until its centre of mass is above the wheels, which are driven and roll with it."""
     m = Mechanism.from_mjcf(

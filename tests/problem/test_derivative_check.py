@@ -155,6 +155,25 @@ def test_a_penalty_that_acts_far_from_the_start_and_beside_others_is_checked():
     track = TrackingCost.reach([0.0, 0.0], 20, final=1e6, effort=1.0)
     for factor, right in ((1.0, True), (2.0, False)):
         check = planner.check_derivatives(Problem(dynamics_with(jacobian), track + Fast(factor), [0.5, 0.0]))
-        wrong = {one.by for one in check.entries if not one.passed}
+        wrong = {(one.of, one.by) for one in check.entries if not one.passed}
         assert check.passed == right, str(check)
-        assert wrong <= {"speed", "speed at the end"}
+        assert wrong <= {("Fast", "speed"), ("Fast", "speed at the end")}
+
+
+def test_a_cost_that_is_not_defined_far_from_the_start_is_checked_near_it():
+    class Barrier(Quartic):
+        def value(self, xs, us):
+            with np.errstate(all="ignore"):
+                return float(-np.sum(np.log(4.0 - xs[:, 0] ** 2)))
+
+        def quadratize(self, xs, us):
+            q = np.zeros((len(xs), 2))
+            q[:, 0] = self.factor * 2.0 * xs[:, 0] / (4.0 - xs[:, 0] ** 2)
+            Q = np.zeros((len(xs), 2, 2))
+            return planner.costs.Quadratic(Q, q, np.zeros((len(us), 1, 1)), np.zeros_like(us))
+
+    for factor, right in ((1.0, True), (2.0, False)):
+        assert (
+            planner.check_derivatives(Problem(dynamics_with(jacobian), Barrier(factor), [0.0, 0.0], horizon=20)).passed
+            == right
+        )

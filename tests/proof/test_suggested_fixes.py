@@ -422,6 +422,9 @@ def test_what_is_never_touched_asks_for_no_weight(tmp_path):
     plan = planner.solve(problem, SolverOptions(homotopy=False))
     (found,) = suggested_fixes(plan)
     assert (found.code, found.value) == ("untouched", None)
+    weak = file(tmp_path, model, keys | {"goal": "{ hand = 0.1 }"}, {"final_position": 1e-9, "final_velocity": 1e-9})
+    away = planner.solve(weak, SolverOptions(homotopy=False))
+    assert "untouched" not in [one.code for one in suggested_fixes(away)]  # the puck is in no goal
     pushed = problem.dynamics.step(np.array([[0.265, 0.0, 0.5, 0.0]]), np.zeros((1, 1)))
     assert DistantContacts(problem).touches(pushed)
 

@@ -244,6 +244,15 @@ def _problem(
         raise type(error)(" ".join([str(error), *read])) from None
 
 
+def _tables_of_joints(table: dict[str, Any]) -> list[tuple[str, Any]]:
+    """Where a table has positions of joints by name: what it is called there, and what is given."""
+    goals = table.get("goal")
+    if not isinstance(goals, list):
+        return [("start", table["start"]), ("goal", goals)]
+    several = [one for one in goals if isinstance(one, dict)]
+    return [("start", table["start"]), *((f"goal {k + 1}", one.get("joints")) for k, one in enumerate(several))]
+
+
 def _left_out(mechanism: Mechanism) -> list[str]:
     """What the model is read without, but for contacts, of which a line of their own tells."""
     return [phrase for phrase in mechanism.ignored if phrase != "contacts"]
@@ -291,7 +300,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed, substeps)
     if told:
         reasons["start"] = told
-    if turns := angles_in_degrees(mechanism, {"start": x0, "goal": goal}):
+    if turns := angles_in_degrees(mechanism, _tables_of_joints(table)):
         reasons["angles"] = turns
     if mechanism.contacts_choice:
         reasons["contacts"] = f"{mechanism.contacts_choice}."

@@ -100,7 +100,7 @@ def check_momentum(problem: Problem, goal: np.ndarray) -> None:
     mechanism = dynamics.mechanism
     asked = {one.name: one.tolerance for one in goals_of(problem)}
     names = coordinates_of(dynamics)
-    floats = undamped_floating_dofs(mechanism, x0)
+    floats = undamped_floating_dofs(dynamics, x0)
     slides = [i for i in np.flatnonzero(floats) if names[i].unit == "m" and names[i].name in asked]
     if not slides:
         return

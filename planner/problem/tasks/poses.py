@@ -93,7 +93,7 @@ def poses_of(
     """
     mechanism = task.mechanism
     q = x0[: mechanism.nq]
-    feet, kept = feet_of(mechanism, q), kept_center_of_mass(mechanism, x0)
+    feet, kept = feet_of(mechanism, q), kept_center_of_mass(dynamics, x0)
     search = _Search(dynamics, ranges, seed, check, checker, constraints, feet, q, steps, kept)
     stages, found, at_rest = [0], [q], [not np.any(x0[mechanism.velocities])]
     if check:

@@ -30,7 +30,9 @@ def untouched(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
     family = DistantContacts(problem)
     if not stays_away(problem, plan) or family.factor <= 1.0 or family.touches(plan.xs):
         return []
-    return [no_fix("goal", "untouched")]
+    away = [one for one in goals_of(problem, plan.xs) if one.miss(plan.t, plan.xs) > one.tolerance]
+    positions = [one for one in away if not one.unit.endswith("/s")]
+    return [no_fix("goal", "untouched")] if any(family.concerns(one.error) for one in positions) else []
 
 
 def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:

@@ -107,7 +107,8 @@ def other_model(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugge
     """The model that is replayed, where its numbers are not the plan's."""
     wrong: set[str] = set() if proof is None else {one.name for one in proof.parity.failures}
     numbers = {"mass_matrix_error", "bias_force_error", "actuator_force_error", "acceleration_error"}
-    return [no_fix("model", "other_model")] if wrong and wrong <= numbers else []
+    numbers |= {"driven_acceleration_error", "rate_error"}
+    return [no_fix("model", "other_model")] if wrong & numbers and "unmodelled_elements" not in wrong else []
 
 
 def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> SuggestedFix:

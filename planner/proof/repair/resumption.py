@@ -46,6 +46,7 @@ def resumed(
     better = solve(problem, warm_start=plan, budget=allowed, max_iterations=max_iterations, **options)
     if better.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
-    if not (better.converged or better.cost < plan.cost):
+    outside = better.status is Status.OUTSIDE_LIMITS
+    if outside or not (better.converged or better.cost < plan.cost):
         return None
     return Resumption(better, plan.cost, plan.nit)
