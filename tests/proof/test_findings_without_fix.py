@@ -4,11 +4,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from problem_files import arm, file
 
 import planner
-from planner import Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost
+from planner import Limits, Mechanism, Problem, RigidBodyDynamics, SolverOptions, TrackingCost
+from planner.proof.diagnostics import suggested_fixes
 from planner.proof.diagnostics.balance import falling, loses_balance
 from planner.proof.diagnostics.limits import fixed_joints
+from planner.proof.diagnostics.solving import other_model
+from planner.solvers.continuation import DistantContacts
 
 ARM = """
 <mujoco>
@@ -103,3 +107,31 @@ def test_a_machine_that_falls_is_no_matter_of_margins():
     assert not loses_balance(proof(mode="feedback"))  # gains hold it
     assert not loses_balance(proof(failures=("position_range_violation",)))  # gains lead it into its stops
     assert not loses_balance(proof(contacts="off"))  # an arm has nothing to fall off
+
+
+def test_what_is_never_touched_asks_for_no_weight(tmp_path):
+    """From rest apart nothing changes the object's way: the gradient is zero, with any weight."""
+    model = """<mujoco><worldbody>
+      <body><joint name="hand" type="slide" axis="1 0 0" damping="1"/><geom size="0.02" mass="1"/></body>
+      <body pos="0.3 0 0"><joint name="puck" type="slide" axis="1 0 0" damping="1"/><geom size=".02" mass=".2"/></body>
+    </worldbody><actuator><motor joint="hand" ctrlrange="-5 5"/></actuator></mujoco>"""
+    keys = {"start": "[0.0, 0.0]", "goal": "{ puck = 0.1 }", "contacts": "{ penetration = 0.003, friction = 0.8 }"}
+    problem = file(tmp_path, model, keys)
+    plan = planner.solve(problem, SolverOptions(homotopy=False))
+    (found,) = suggested_fixes(plan)
+    assert (found.code, found.value) == ("untouched", None)
+    weak = file(tmp_path, model, keys | {"goal": "{ hand = 0.1 }"}, {"final_position": 1e-9, "final_velocity": 1e-9})
+    away = planner.solve(weak, SolverOptions(homotopy=False))
+    assert "untouched" not in [one.code for one in suggested_fixes(away)]  # the puck is in no goal
+    pushed = problem.dynamics.step(np.array([[0.265, 0.0, 0.5, 0.0]]), np.zeros((1, 1)))
+    assert DistantContacts(problem).touches(pushed)
+
+
+def test_another_model_than_the_plans_is_no_matter_of_time(tmp_path):
+    problem = arm(tmp_path)
+    wrong = SimpleNamespace(name="mass_matrix_error")
+    proof = SimpleNamespace(parity=SimpleNamespace(failures=[wrong]))
+    (found,) = other_model(None, problem, proof)
+    assert (found.code, found.value) == ("other_model", None)
+    proof.parity.failures = [wrong, SimpleNamespace(name="unmodelled_elements")]
+    assert other_model(None, problem, proof) == []

@@ -1,12 +1,18 @@
 """Trials of suggested fixes: which is tried after one that did not pass, and from which plan."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
+from problem_files import arm, cured, tried
+
+import planner
 from planner.problem.plan import Status
-from planner.proof.diagnostics import SuggestedFix
-from planner.proof.repair import fixes
-from planner.proof.repair.fixes import FixTrials
+from planner.proof.diagnostics import SuggestedFix, suggested_fixes
+from planner.proof.repair import Tools, fixes, repair
+from planner.proof.repair.fixes import FixTrial, FixTrials
+from planner.proof.repair.refinement import refine
+from planner.solvers.work import WorkBudget, work_of_proof, work_of_stage
 
 
 class Trials(FixTrials):
@@ -77,3 +83,37 @@ def test_a_plan_that_may_still_fall_does_not_keep_other_fixes_from_being_tried()
     log, asked = trials([passed])
     assert asked.run((SuggestedFix("", key="goal"), SuggestedFix("", key="duration", value=2.0)))[0] is None
     assert not log  # nothing helps where the goal itself is at fault
+
+
+def test_no_trial_begins_that_could_not_solve_anything(tmp_path):
+    """What is left of the work is for a few iterations: less than a trial takes, and more than nothing."""
+    problem = arm(tmp_path, weights={"final_position": 20})
+    plan, proof = tried(problem)
+
+    def solve(problem, max_iterations, purpose, budget):
+        raise AssertionError("a trial began")
+
+    steps, judge = [], partial(planner.prove, rollouts=0)
+    work = WorkBudget(work_of_proof(problem) + 2 * 5 * problem.N * work_of_stage(problem))  # half of 10 iterations
+    repair(problem, plan, proof, (), Tools(solve, judge, {}, 1000, steps.append, lambda *_: None), budget=work)
+    assert [one.outcome for one in steps if isinstance(one, FixTrial)] == ["not tried"]
+
+
+def test_a_fix_whose_plan_then_has_too_long_a_step_goes_on_at_a_finer_one(tmp_path):
+    """Neither the fix alone nor finer steps alone make it pass."""
+    problem = arm(tmp_path, weights={"final_position": 20}, integrator='"euler"')
+    plan, proof = tried(problem)
+    assert proof is not None
+    assert not tried(cured(problem, suggested_fixes(plan, proof)[0]))[1].passed
+    assert len(refine(plan, proof).path) == 1
+
+    def solve(problem, max_iterations, purpose, budget):
+        return planner.solve(problem, max_iterations=max_iterations, budget=budget)
+
+    steps, judge = [], partial(planner.prove, rollouts=0)
+    tools = Tools(solve, judge, {}, 1000, steps.append, lambda *_: None)
+    done = repair(problem, plan, proof, (), tools)
+    assert done.proof is not None
+    assert done.proof.passed
+    assert [line.integrator for line in done.path] == ["euler", "rk4"]
+    assert steps[-1].outcome == "applied"

@@ -1,7 +1,6 @@
 """suggested_fixes(): what a FAIL says to write is computed, and with it the plan passes."""
 
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,14 +11,9 @@ from problem_files import ARM, POLE, USUAL, arm, cured, file, tried, without_lim
 import planner
 from planner import SolverOptions
 from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
-from planner.proof.diagnostics.solving import not_a_minimum, other_model
+from planner.proof.diagnostics.solving import not_a_minimum
 from planner.proof.diagnostics.stage import clamped_between, rounded_step
 from planner.proof.diagnostics.suggested_fix import rounded_up
-from planner.proof.repair import Tools, repair
-from planner.proof.repair.fixes import FixTrial
-from planner.proof.repair.refinement import refine
-from planner.solvers.continuation import DistantContacts
-from planner.solvers.work import WorkBudget, work_of_proof, work_of_stage
 
 
 def passes_with(problem, *keys):
@@ -55,40 +49,6 @@ def test_position_and_velocity_that_are_missed_are_one_fix(tmp_path):
     assert set(first.value) == {"final_position", "final_velocity"}
     assert first.value["final_position"] > 20.0
     assert first.value["final_velocity"] > 2.0
-
-
-def test_no_trial_begins_that_could_not_solve_anything(tmp_path):
-    """What is left of the work is for a few iterations: less than a trial takes, and more than nothing."""
-    problem = arm(tmp_path, weights={"final_position": 20})
-    plan, proof = tried(problem)
-
-    def solve(problem, max_iterations, purpose, budget):
-        raise AssertionError("a trial began")
-
-    steps, judge = [], partial(planner.prove, rollouts=0)
-    work = WorkBudget(work_of_proof(problem) + 2 * 5 * problem.N * work_of_stage(problem))  # half of 10 iterations
-    repair(problem, plan, proof, (), Tools(solve, judge, {}, 1000, steps.append, lambda *_: None), budget=work)
-    assert [one.outcome for one in steps if isinstance(one, FixTrial)] == ["not tried"]
-
-
-def test_a_fix_whose_plan_then_has_too_long_a_step_goes_on_at_a_finer_one(tmp_path):
-    """Neither the fix alone nor finer steps alone make it pass."""
-    problem = arm(tmp_path, weights={"final_position": 20}, integrator='"euler"')
-    plan, proof = tried(problem)
-    assert proof is not None
-    assert not tried(cured(problem, suggested_fixes(plan, proof)[0]))[1].passed
-    assert len(refine(plan, proof).path) == 1
-
-    def solve(problem, max_iterations, purpose, budget):
-        return planner.solve(problem, max_iterations=max_iterations, budget=budget)
-
-    steps, judge = [], partial(planner.prove, rollouts=0)
-    tools = Tools(solve, judge, {}, 1000, steps.append, lambda *_: None)
-    done = repair(problem, plan, proof, (), tools)
-    assert done.proof is not None
-    assert done.proof.passed
-    assert [line.integrator for line in done.path] == ["euler", "rk4"]
-    assert steps[-1].outcome == "applied"
 
 
 def test_a_weight_by_joint_stays_one_by_joint(tmp_path):
@@ -409,31 +369,3 @@ def test_forces_that_only_the_stage_adds_need_a_shorter_one(tmp_path):
     assert (found.key, found.value) == ("dt", pytest.approx(0.5 * problem.dynamics.dt))
     proof.your_file.failures = [*failures, SimpleNamespace(name="unknown_stops")]
     assert clamped_between(None, problem, proof) == []
-
-
-def test_what_is_never_touched_asks_for_no_weight(tmp_path):
-    """From rest apart nothing changes the object's way: the gradient is zero, with any weight."""
-    model = """<mujoco><worldbody>
-      <body><joint name="hand" type="slide" axis="1 0 0" damping="1"/><geom size="0.02" mass="1"/></body>
-      <body pos="0.3 0 0"><joint name="puck" type="slide" axis="1 0 0" damping="1"/><geom size=".02" mass=".2"/></body>
-    </worldbody><actuator><motor joint="hand" ctrlrange="-5 5"/></actuator></mujoco>"""
-    keys = {"start": "[0.0, 0.0]", "goal": "{ puck = 0.1 }", "contacts": "{ penetration = 0.003, friction = 0.8 }"}
-    problem = file(tmp_path, model, keys)
-    plan = planner.solve(problem, SolverOptions(homotopy=False))
-    (found,) = suggested_fixes(plan)
-    assert (found.code, found.value) == ("untouched", None)
-    weak = file(tmp_path, model, keys | {"goal": "{ hand = 0.1 }"}, {"final_position": 1e-9, "final_velocity": 1e-9})
-    away = planner.solve(weak, SolverOptions(homotopy=False))
-    assert "untouched" not in [one.code for one in suggested_fixes(away)]  # the puck is in no goal
-    pushed = problem.dynamics.step(np.array([[0.265, 0.0, 0.5, 0.0]]), np.zeros((1, 1)))
-    assert DistantContacts(problem).touches(pushed)
-
-
-def test_another_model_than_the_plans_is_no_matter_of_time(tmp_path):
-    problem = arm(tmp_path)
-    wrong = SimpleNamespace(name="mass_matrix_error")
-    proof = SimpleNamespace(parity=SimpleNamespace(failures=[wrong]))
-    (found,) = other_model(None, problem, proof)
-    assert (found.code, found.value) == ("other_model", None)
-    proof.parity.failures = [wrong, SimpleNamespace(name="unmodelled_elements")]
-    assert other_model(None, problem, proof) == []
