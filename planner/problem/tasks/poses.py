@@ -54,7 +54,7 @@ class _Way(NamedTuple):
     """How inverse kinematics may meet targets."""
 
     mask: np.ndarray  # (nv,) bool, degrees of freedom that may move
-    feet: ResidualAndJacobian | None  # what keeps feet on the ground, or the centre of mass of what floats
+    fixed: ResidualAndJacobian | None  # what keeps feet on the ground, or the centre of mass of what floats
     begin: np.ndarray  # (nq,) the configuration from which it searches
 
 
@@ -193,14 +193,14 @@ def _pose(
         missing: ResidualAndJacobian | None = None,
     ) -> tuple[np.ndarray, float]:  # fmt: skip
         found = None
-        for mask, feet, begin in _ways(search, q, targets, joints, any(one.goal.through for one in here)):
-            further = both(missing, feet) if missing is not None and feet is not None else missing or feet
+        for mask, fixed, begin in _ways(search, q, targets, joints, any(one.goal.through for one in here)):
+            further = both(missing, fixed) if missing is not None and fixed is not None else missing or fixed
             other = inverse_kinematics(
                 mechanism, targets, begin, ranges=ranges, free=mask, seed=search.seed, short=short,
                 missing=further, starts=None if here or missing is None else PATH_STARTS,
             )  # fmt: skip
-            if feet is not None:
-                other = other._replace(residual=max(other.residual, float(np.abs(feet(other.q)[0]).max())))
+            if fixed is not None:
+                other = other._replace(residual=max(other.residual, float(np.abs(fixed(other.q)[0]).max())))
             found = other if found is None or other.rank < found.rank else found
             if found.residual <= 1.0:
                 break
@@ -290,8 +290,7 @@ def _ways(
     ground, or in the air and the others carrying the machine. Then, of a machine that steps, all, with its stance
     carried along. Then the actuated ones; all, with feet that stay; all, with feet elsewhere on the ground; and all
     without feet, in the air or at a via point (`passed`). All of them for closed chains, and for a machine that nothing
-    pushes from outside, whose centre of mass stays. Those with a goal in `joints`
-    are fixed, and what nothing acts on.
+    pushes from outside, whose centre of mass stays. Those with a goal in `joints` are fixed, and what nothing acts on.
     """
     dynamics, mechanism = search.dynamics, search.dynamics.mechanism
     prescribed = prescribed_dofs_of(dynamics)
