@@ -186,6 +186,7 @@ class Appearance:
     distance: float | None = None
     azimuth: float = 90.0  # Of the camera, degrees (MuJoCo's convention)
     elevation: float = -10.0  # Of the camera, degrees (negative looks down)
+    may_turn: bool = False  # Whether the camera turns where something at rest hides the motion
     # Several cameras in place of one: side by side in a film, stacked in a strip. In a comparison of two films, the
     # second camera's pictures are below the first's.
     views: tuple[View, ...] = ()

@@ -79,7 +79,7 @@ def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -
     shown = tuple(Readout(label, i, unit) for i, label, unit in readouts[:_READOUTS])
     return Appearance(
         title=name[1] if name else "", readouts=shown, scenery=_belts(mechanism), azimuth=azimuth, elevation=elevation,
-        plots=tuple(plots),
+        may_turn=True, plots=tuple(plots),
     )  # fmt: skip
 
 

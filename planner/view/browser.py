@@ -28,6 +28,7 @@ from planner.view.render.camera import directions, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.marks import ghost_paint
+from planner.view.render.obstruction import unobstructed
 from planner.view.report.view_3d import body_poses, drawn_shapes, mesh_of, place_in_world, simplified
 from planner.view.viewer import Player
 
@@ -159,7 +160,8 @@ class Stage:
                     f"/{part}/{body}/{i}", vertices, faces, color=tuple(map(float, rgba[:3])), position=at[:3],
                     wxyz=at[3:], opacity=float(rgba[3]) if rgba[3] < 1.0 else None, cast_shadow=part != "ghost",
                 )  # fmt: skip
-        self.look_at, self.distance = whole_motion([film], model, film.appearance, 1.6, True)
+        self.seen = unobstructed(film, model)
+        self.look_at, self.distance = whole_motion([film], model, self.seen, 1.6, True)
 
     def set_motion(self, film: Film) -> None:
         """Take the poses (F, B, 7) of a film."""
@@ -208,14 +210,14 @@ def browse(plan: Plan, *, port: int = 8080, speed: float | None = None, ready: C
         server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
     try:
         film = _film(replanner)
-        stage, seen = Stage(server.scene, film), film.appearance
+        stage = Stage(server.scene, film)
         server.initial_camera.look_at = stage.look_at
-        ahead = directions(seen.azimuth, seen.elevation)[0]
+        ahead = directions(stage.seen.azimuth, stage.seen.elevation)[0]
         server.initial_camera.position = stage.look_at - stage.distance * ahead
         threading.Thread(target=replanner.work, daemon=True).start()
         if ready is not None:
             ready(f"http://127.0.0.1:{server.get_port()}")
-        player = Player(float(film.t[-1] - film.t[0]), seen.speed if speed is None else speed)
+        player = Player(float(film.t[-1] - film.t[0]), film.appearance.speed if speed is None else speed)
         words = server.gui.add_markdown("")
         _add_goals(server, replanner, _HANDLE * stage.distance)
         plays, ghost = server.gui.add_checkbox("play", True), server.gui.add_checkbox("ghost: the plan", True)

@@ -30,6 +30,7 @@ from planner.view.render.camera import directions, scenery_of, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film, interpolate
 from planner.view.render.marks import GhostDrawer, Marks, Outline, ghost_paint, screen_difference
+from planner.view.render.obstruction import unobstructed
 from planner.view.render.shapes import LinkCapsules, Paint, SceneGeoms
 
 SPACE, RIGHT, LEFT, DOWN, UP, HOME, END = 32, 262, 263, 264, 265, 268, 269  # GLFW's numbers of keys
@@ -181,7 +182,7 @@ class ViewerScene:
         self._films, self._perturbed, self._rollouts = films, perturbed, list[np.ndarray]()
         self.model = visible_model(films)
         self.data, self._other = mujoco.MjData(self.model), mujoco.MjData(self.model)
-        seen = films[0].appearance
+        self._seen = seen = unobstructed(films[0], self.model)
         self._paint = ghost_paint(seen)
         self._link_capsules = LinkCapsules(self.model)
         self._ghost_drawer = GhostDrawer(self.model, self._link_capsules)
@@ -192,9 +193,8 @@ class ViewerScene:
 
     def place(self, camera: Any) -> None:
         """Put the camera where it sees the whole motion; from then on it is the user's."""
-        seen = self._films[0].appearance
         camera.lookat[:], camera.distance = self._look_at, self._distance
-        camera.azimuth, camera.elevation = seen.azimuth, seen.elevation
+        camera.azimuth, camera.elevation = self._seen.azimuth, self._seen.elevation
 
     def draw(self, scene: Any, camera: Any, player: Player) -> None:
         """Pose the machine at the player's time, and fill the window's own `scene` with all that is beside it."""

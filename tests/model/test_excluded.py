@@ -38,8 +38,8 @@ def touching(machine):
     return {frozenset(model.body(model.geom_bodyid[geom]).name for geom in one.geom) for one in data.contact}
 
 
-def problem(folder, more=""):
-    (folder / "hand.xml").write_text(HAND, encoding="utf-8")
+def problem(folder, more="", hand=HAND):
+    (folder / "hand.xml").write_text(hand, encoding="utf-8")
     lines = f'model = "hand.xml"\nstart = [0, 0, 0]\ngoal = [0.1, -0.15, 0.2]\nduration = 1.0\n{more}\n'
     (folder / "hand.toml").write_text(lines, encoding="utf-8")
     return load(folder / "hand.toml").problem
@@ -109,3 +109,9 @@ def test_names_that_the_model_lacks_and_shapes_of_one_body_are_refused():
         planner.Mechanism.from_mjcf(HAND, exclude=[("palm", "pad")])
     with pytest.raises(planner.ModelError, match="without a name"):
         planner.Mechanism.from_mjcf(HAND.replace('<body name="tip"', "<body"), exclude=[("palm", "ball")])
+
+
+def test_bodies_without_names_are_to_get_some(tmp_path):
+    plan = planner.solve(problem(tmp_path, hand=HAND.replace('body name="tip"', "body")))
+    (fix,) = suggested_fixes(plan, planner.prove(plan, rollouts=0))
+    assert (fix.key, fix.code) == ("exclude", "overlap_deepens_unnamed")

@@ -115,7 +115,7 @@ class _Shapes:
             return []
         names = {tuple(self.model.body(int(self.model.geom_bodyid[geom])).name for geom in pair) for pair in pairs}
         if not all(map(all, names)):  # MuJoCo excludes bodies by their names
-            return []
+            return [no_fix("exclude", "overlap_deepens_unnamed", pair=self.names(pairs[0]))]
         values = {"pair": self.names(pairs[0]), "bodies": json.dumps(sorted(names), ensure_ascii=False)}
         return [no_fix("exclude", "overlap_deepens", **values)]
 

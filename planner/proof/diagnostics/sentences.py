@@ -27,6 +27,9 @@ SENTENCES = {
     "{depth:.2g}.",
     "overlap_deepens": "{pair} of the file overlap or lie flush at the start, and the motion presses them together: if "
     "the real ones do not touch, write exclude = {bodies}; else another `start` or `goal` is needed.",
+    "overlap_deepens_unnamed": "{pair} of the file overlap or lie flush at the start, and the motion presses them "
+    "together: move them apart in the file; or, if the real ones do not touch, give the bodies of both a name there "
+    "and write these names as exclude = [[\"one body\", \"the other\"]].",
     "goal_collides": "in the goal itself {pair} overlap by {depth:.2g}; with it another pose of the goal is sought",
     "goal_collides_anyhow": "Another `goal` is needed: in the goal itself {pair} overlap by {depth:.2g}.",
     "path_collides_straight_free": "{pair} collide on the way, and the straight path from start to goal is free; only "

@@ -16,6 +16,7 @@ from planner.view.render.camera import Window, directions, moving_points, moving
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.marks import SAME_PICTURE_PIXELS, GhostDrawer, Marks, Outline, ghost_paint, screen_difference
+from planner.view.render.obstruction import unobstructed
 from planner.view.render.shapes import LinkCapsules, SceneGeoms, without_shadow
 
 FORCE = (0.89, 0.12, 0.14, 1.0)
@@ -58,9 +59,9 @@ class Scene:
         """
         mujoco = gl.load_mujoco()
         self._mujoco = mujoco
-        self._film, self._appearance, self._ghost = film, film.appearance, ghost
         self._width, self._height, self._oversize = width, height, oversize
         model = visible_model([film]) if model is None else model
+        self._film, self._appearance, self._ghost = film, unobstructed(film, model), ghost
         model.vis.quality.offsamples = 0
         narrow = narrow or bool(beside)
         if quick:

@@ -242,7 +242,7 @@ def _seen_from(film: Film, camera: str | Sequence[float] | None) -> Film:
         azimuth, elevation = angles_of_camera(compile_model(film.mjcf, film.assets), camera)
     else:
         azimuth, elevation = map(float, array("camera", camera, (2,)))
-    own = replace(film.appearance, azimuth=azimuth, elevation=elevation, distance=None, views=())
+    own = replace(film.appearance, azimuth=azimuth, elevation=elevation, may_turn=False, distance=None, views=())
     return replace(film, appearance=own)
 
 

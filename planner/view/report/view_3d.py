@@ -19,6 +19,7 @@ from planner.view.render.camera import scenery_of, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
 from planner.view.render.marks import Marks, ghost_paint
+from planner.view.render.obstruction import unobstructed
 from planner.view.render.shapes import LinkCapsules
 from planner.view.report.markup import asset
 
@@ -68,7 +69,8 @@ def film_of(replay: Replay) -> Film:
 
 def view_data(film: Film) -> dict[str, Any]:
     """What the script draws, as JSON values; lengths in m, colours 0 to 1, quaternions w first."""
-    mujoco, model, seen = load_mujoco(), visible_model([film]), film.appearance
+    mujoco, model = load_mujoco(), visible_model([film])
+    seen = unobstructed(film, model)
     data = mujoco.MjData(model)
     data.qpos[:] = film.qpos[0]
     mujoco.mj_forward(model, data)
