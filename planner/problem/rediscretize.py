@@ -82,9 +82,12 @@ def retimed(problem: Problem, duration: float) -> Problem:
         return with_objective(retimed(base_problem(problem), duration), problem.objective.weights)
     dt = duration / problem.N
     if problem.recipe is not None and "duration" in problem.recipe.parameters:
-        step = {"dt": dt} if "dt" in problem.recipe.parameters else {}
-        new = base_problem(problem.recipe.rebuilt(duration=duration, **step))
-        return replace(new, limits=problem.limits, us=problem.first_guess, twin=problem.twin)
+        names = problem.recipe.parameters
+        guess = {"guess": names["guess"]} if "guess" in names else {}  # its own is not needed, and may take long
+        changes = ({"dt": dt} if "dt" in names else {}) | dict.fromkeys(guess, "zero")
+        new = base_problem(problem.recipe.rebuilt(duration=duration, **changes))
+        recipe = None if new.recipe is None else new.recipe.changed(**guess)
+        return replace(new, limits=problem.limits, us=problem.first_guess, twin=problem.twin, recipe=recipe)
     dynamics = _with_step(problem.dynamics, dt, getattr(problem.dynamics, "integrator", None))
     return replace(
         problem, dynamics=dynamics, cost=call_if_supported(problem.cost, "resampled", 1, dt / problem.dynamics.dt)

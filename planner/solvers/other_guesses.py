@@ -37,7 +37,8 @@ from planner.solvers.multistart import smooth
 
 DIVERGENCE_FACTOR = 1e10  # limit of a state, relative to max(1, largest of the start): as in MuJoCo
 _STAGES = 100  # of the LQ problem, after which its gains are constant
-_AGAIN = 10  # stages between linearizations
+_AGAIN = 10  # stages between linearizations, at the least
+_ALONG = 100  # linearizations along a reference, at the most
 _WEAKEST = 1e-9  # smallest weight of a control, relative to the largest
 SHAKE = 0.01  # of each control's limit: to leave a saddle
 LARGE_SHAKE = 0.3  # of the same: to find another motion
@@ -65,7 +66,7 @@ def stabilizing_guess(problem: Problem) -> np.ndarray | None:
 def line_tracking_controls(problem: Problem, goal: np.ndarray) -> np.ndarray | None:
     """Controls (N, nu) that track the straight line to a goal (nx,) by feedback; None if the rollout diverges."""
     with np.errstate(all="ignore"):
-        return _written_down(problem, _leading(problem, _straight(problem, goal)))
+        return _written_down(problem, _leading(problem, _straight(problem, goal), problem.N // _ALONG))
 
 
 def tracking_controls(problem: Problem, xs: np.ndarray, us: np.ndarray | None = None) -> np.ndarray | None:
@@ -76,7 +77,8 @@ def tracking_controls(problem: Problem, xs: np.ndarray, us: np.ndarray | None = 
     """
     with np.errstate(all="ignore"):
         return _written_down(
-            problem, _leading(problem, lambda n, _: xs[n]) if us is None else _kept_to(problem, xs, us)
+            problem,
+            _leading(problem, lambda n, _: xs[n], problem.N // _ALONG) if us is None else _kept_to(problem, xs, us),
         )
 
 
@@ -139,15 +141,15 @@ def _straight(problem: Problem, goal: np.ndarray) -> Callable[[int, np.ndarray],
     return state_on_line
 
 
-def _leading(problem: Problem, place: Callable[[int, np.ndarray], np.ndarray]) -> Control:
-    """LQR about the state `place(n, now)` of each stage, updated every _AGAIN stages."""
-    space = space_of(problem.dynamics)
+def _leading(problem: Problem, place: Callable[[int, np.ndarray], np.ndarray], stages: int = _AGAIN) -> Control:
+    """LQR about the state `place(n, now)` of each stage, updated after so many stages, or _AGAIN if these are more."""
+    space, stages = space_of(problem.dynamics), max(stages, _AGAIN)
     u, K = np.zeros(0), np.zeros(0)
 
     def control(n: int, now: np.ndarray) -> np.ndarray:
         nonlocal u, K
         x = place(n, now)
-        if n % _AGAIN == 0:
+        if n % stages == 0:
             u, K = _regulator(problem, _at_rest(problem, x))
         return u + K @ space.difference(now, x)
 

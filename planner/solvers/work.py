@@ -34,7 +34,8 @@ RATES = 4e-8  # times evaluations times (degrees of freedom and rows of closures
 CONTACT = 3e-8  # times evaluations
 RICCATI = 8e-10  # times ndx^3
 PAIR = 3e-6  # of shapes that are kept apart
-IN_NUMPY = 5e-4  # of what no kernel computes: dynamics of the user's own, the Wolfe rule, a warm start
+IN_NUMPY = 5e-4  # of what no kernel computes: dynamics of the user's own, the Wolfe rule
+WARM_START = 1e-4  # gains and rollouts stage by stage
 CLOSURE_ROWS = 3
 
 
@@ -122,7 +123,7 @@ class WorkBudget:
 
     def charge_warm_start(self, problem: Problem) -> None:
         """Count a warm start: a few rollouts that track a plan, and the gains for them, stage by stage in NumPy."""
-        self._count(2.0 * problem.N * IN_NUMPY, self._purpose)
+        self._count(problem.N * (WARM_START + 3.0 * work_of_stage(problem)), self._purpose)
 
     def charge_proof(self, problem: Problem) -> None:
         """Count a proof of a plan of a problem."""
