@@ -8,6 +8,7 @@ improves the path, but it does not find on which side to pass an obstacle.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from weakref import WeakKeyDictionary
 
@@ -23,10 +24,10 @@ EXTRA_SHARE = 0.5  # of the required clearance, in addition to it, in the first 
 ROUNDED_SHARE = 0.1  # of the required clearance, the clearance at rounded corners of a path
 
 _paths: WeakKeyDictionary[Mechanism, dict[bytes, np.ndarray | None]] = WeakKeyDictionary()
-"""Cache of paths by ends, clearances and seed, since a problem is rebuilt for every finer discretization."""
+"""Cache of paths by ends, pairs, clearances and seed, since a problem is rebuilt for every finer discretization."""
 STEP = 0.05  # rad or m of the joint that moves most, between poses that are checked
 MAX_STEPS = 10  # by which a tree grows towards a sample
-MAX_SAMPLES = 600
+MAX_SAMPLES, MORE_SAMPLES = 600, 3000  # of a search; of one for a motion on which a solve is to begin
 MIN_SPREAD, MAX_SPREAD = 0.1, 1.5  # rad or m, standard deviation of first and last samples about the straight line
 SHORTCUTS = 200  # random straight cuts that are tried
 SAMPLES = 200  # equal parts of a path
@@ -44,9 +45,17 @@ class CollisionChecker:
     """
 
     def __init__(self, clearance: PairClearance, mechanism: Mechanism) -> None:
-        self._lower, self._mechanism = clearance.lower, mechanism
+        self._clearance, self._lower, self._mechanism = clearance, clearance.lower, mechanism
         self._distances = SignedDistances(mechanism, [pair[:2] for pair in clearance.pairs])
         self._offset = np.array([pair.distance_offset for pair in clearance.pairs])
+        self._names = "\n".join(pair.names for pair in clearance.pairs).encode()
+
+    @property
+    def without_extra(self) -> CollisionChecker:
+        """The checker of the clearances as they are required, without any more."""
+        if not np.any(self._clearance.more):
+            return self
+        return CollisionChecker(replace(self._clearance, more=np.zeros_like(self._clearance.more)), self._mechanism)
 
     def distances(self, q: np.ndarray, exact_below: np.ndarray | float = np.inf) -> np.ndarray:
         """(K, P) m at poses (K, nq); above `exact_below` (P,) a lower bound of the distance."""
@@ -56,18 +65,24 @@ class CollisionChecker:
         """The largest violation of a required distance at a pose (nq,), m; 0 for none."""
         return float(np.max(self._lower - self.distances(q[None], self._lower)[0], initial=0.0))
 
-    def find_path(self, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> np.ndarray | None:
-        """Poses (K, nq) of a collision-free path from start to goal (nq,); None where none was found.
+    def find_path(
+        self, start: np.ndarray, goal: np.ndarray, seed: int = 0, samples: int = MAX_SAMPLES
+    ) -> np.ndarray | None:
+        """Poses (K, nq) of a collision-free path from start to goal (nq,); None where none was found in the samples.
 
-        The search requires EXTRA_SHARE more clearance first, then the required one; never more than at the ends.
+        The search requires EXTRA_SHARE more clearance first, then the required one; never more than at the ends. With
+        `more` clearance none is sought where there is none without it.
         """
         paths = _paths.setdefault(self._mechanism, {})
-        key = b"".join([start.tobytes(), goal.tobytes(), self._lower.tobytes(), seed.to_bytes(8, "little")])
+        numbers = seed.to_bytes(8, "little"), samples.to_bytes(8, "little")
+        key = b"".join([start.tobytes(), goal.tobytes(), self._lower.tobytes(), *numbers, self._names])
         if key not in paths:
-            paths[key] = self._search(start, goal, seed)
+            closer = self.without_extra
+            in_vain = closer is not self and closer.find_path(start, goal, seed, samples) is None
+            paths[key] = None if in_vain else self._search(start, goal, seed, samples)
         return paths[key]
 
-    def _search(self, start: np.ndarray, goal: np.ndarray, seed: int) -> np.ndarray | None:
+    def _search(self, start: np.ndarray, goal: np.ndarray, seed: int, samples: int) -> np.ndarray | None:
         at_ends = self.distances(np.stack([start, goal])).min(axis=0)
         low, high = self._mechanism.joint_range.T
         first, last = np.minimum(start, goal), np.maximum(start, goal)
@@ -80,10 +95,15 @@ class CollisionChecker:
                 return np.all(self.distances(q, lower) >= lower, axis=1)
 
             is_nearly_free = partial(is_free, lower=np.minimum(ROUNDED_SHARE * self._lower, lower))
-            path = rrt_connect(is_free, start, goal, low, high, seed, is_nearly_free)
+            path = rrt_connect(is_free, start, goal, low, high, seed, is_nearly_free, samples)
             if path is not None:
                 return path
         return None
+
+
+def has_path_search(mechanism: Mechanism) -> bool:
+    """Whether paths are searched for a machine: for one of hinges and slides without contacts."""
+    return not (np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts)
 
 
 def collision_free_motion(
@@ -94,11 +114,14 @@ def collision_free_motion(
     None where no path is found, or unless the machine is fully actuated, of hinges and slides, and from rest to rest.
     """
     nq, v = mechanism.nq, mechanism.velocities
-    if np.any(mechanism.kind != SCREW) or mechanism.contacts or mechanism.body_contacts:
+    if not has_path_search(mechanism):
         return None
     if np.any(x0[v]) or np.any(goal[v]):
         return None
-    path = CollisionChecker(apart, mechanism).find_path(x0[:nq], goal[:nq])
+    checker, ends = CollisionChecker(apart, mechanism), (x0[:nq], goal[:nq])
+    path = checker.find_path(*ends)
+    if path is None:
+        path = checker.find_path(*ends, samples=MORE_SAMPLES)
     if path is None:
         return None
     xs = np.tile(x0, (N + 1, 1))
@@ -111,7 +134,7 @@ def collision_free_motion(
 
 def rrt_connect(
     is_free: IsFree, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray, seed: int = 0,
-    is_nearly_free: IsFree | None = None,
+    is_nearly_free: IsFree | None = None, samples: int = MAX_SAMPLES,
 ) -> np.ndarray | None:  # fmt: skip
     """Poses (SAMPLES + 1, n) along a free path from start to goal (n,), between bounds; None where none was found.
 
@@ -121,9 +144,9 @@ def rrt_connect(
         return _resampled(np.stack([start, goal]))
     rng = np.random.default_rng(seed)
     trees: list[tuple[list[np.ndarray], list[int]]] = [([start], [-1]), ([goal], [-1])]
-    for k in range(MAX_SAMPLES):
+    for k in range(samples):
         grown, other = trees
-        spread = MIN_SPREAD * (MAX_SPREAD / MIN_SPREAD) ** (k / MAX_SAMPLES)
+        spread = MIN_SPREAD * (MAX_SPREAD / MIN_SPREAD) ** (k / samples)
         sample = start + rng.uniform() * (goal - start) + spread * rng.normal(size=len(start))
         new = _grow(is_free, *grown, np.clip(sample, lower, upper), MAX_STEPS)
         if new is not None:

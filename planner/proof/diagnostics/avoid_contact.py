@@ -1,4 +1,4 @@
-"""Diagnose geoms that collide in the user's file and not in the plan: at the goal, on the ground, or along the path."""
+"""Diagnose geoms that collide: in the user's file alone, at the goal, on the ground, along the path, on every way."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.initial_overlaps import TOUCH_ROUNDING, can_separate
 from planner.model.mjcf.model_index import ModelIndex, named
 from planner.model.mjcf.unmodelled_features import names_of
+from planner.problem.collision_free_path import MORE_SAMPLES, CollisionChecker, has_path_search
+from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -65,6 +67,21 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     if may_avoid:
         return [fix(problem, "avoid", {}, "path_collides", pair=pair)]
     return [no_fix("goal", "path_collides_anyhow", pair=pair)]
+
+
+def no_way_around(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """That no path without collisions leads to the pose of the goal, as far as random poses tell."""
+    mechanism, cost = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
+    apart = pair_clearance_of(problem.constraints)
+    if plan.converged or mechanism is None or cost is None or apart is None or not has_path_search(mechanism):
+        return []
+    nq, weights = mechanism.nq, np.diagonal(cost.Q[-1])[: mechanism.nv]
+    if mechanism.has_closed_chains or not (of_file(problem) or np.all(weights > 0.0)):  # no whole pose is meant
+        return []
+    checker = CollisionChecker(apart, mechanism).without_extra
+    if checker.find_path(problem.x0[:nq], cost.x_ref[-1, :nq], samples=MORE_SAMPLES) is not None:
+        return []
+    return [no_fix("goal", "no_way_around", samples=MORE_SAMPLES)]
 
 
 def _knots(plan: Plan, mechanism: Mechanism) -> list[np.ndarray]:

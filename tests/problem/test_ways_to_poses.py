@@ -1,0 +1,87 @@
+"""Of the poses that reach a goal one is taken to which a path without collisions leads; and what is said of none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from machines import gantry
+
+import planner
+from planner.problem.collision_free_path import MORE_SAMPLES, CollisionChecker
+from planner.problem.constraints.clearance import pair_clearance_of
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.tasks import poses
+from planner.proof.diagnostics import suggested_fixes
+
+# Two links of 0.5 m in a vertical plane, with a small box on the other side, so that there is something to avoid.
+ARM = """<mujoco><option gravity="0 0 0"/><worldbody><geom name="box" type="box" size="0.05 0.05 0.05" pos="-0.8 0 0"/>
+  <body><joint name="a" axis="0 1 0" range="-170 170"/><geom type="capsule" fromto="0.1 0 0 0.4 0 0" size="0.03"/>
+    <body pos="0.5 0 0"><joint name="b" axis="0 1 0" range="-170 170"/>
+      <geom type="capsule" fromto="0.1 0 0 0.5 0 0" size="0.03"/><site name="tip" pos="0.5 0 0"/></body></body>
+  </worldbody><actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+TOML = """model = "arm.xml"
+start = { a = 0.2, b = 0.4 }
+duration = 1.0
+avoid = {}
+[[goal]]
+frame = "tip"
+position = [0.6, 0.0, -0.3]
+"""
+
+
+@pytest.fixture
+def elbow(tmp_path):
+    """The elbow's angle in the goal's pose, rad."""
+    (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
+    (tmp_path / "problem.toml").write_text(TOML, encoding="utf-8")
+
+    def of():
+        problem = planner.load_problem(tmp_path / "problem.toml")
+        return tracking_of(problem.cost).x_ref[-1, 1]
+
+    return of
+
+
+def test_a_pose_with_a_way_is_preferred(elbow, monkeypatch):
+    """The elbow stays on its side; where no way leads there, it goes to the other, as far from a straight arm."""
+    near = elbow()
+    assert near > 0.0
+    own = CollisionChecker.find_path
+    monkeypatch.setattr(
+        CollisionChecker, "find_path", lambda self, a, b, *more, **named: None if b[1] > 0 else own(self, a, b)
+    )
+    assert elbow() == pytest.approx(-near, abs=2e-3)
+
+
+def test_without_any_way_the_nearest_pose_stays_after_a_few_searches(elbow, monkeypatch):
+    near, calls = elbow(), []
+    monkeypatch.setattr(CollisionChecker, "find_path", lambda self, a, b, *more, **named: calls.append(named))
+    assert elbow() == pytest.approx(near, abs=2e-3)
+    of_poses = [named for named in calls if not named]
+    assert poses.PATHS <= len(of_poses) <= poses.PATHS + 1  # one more for the first guess
+    assert {"samples": MORE_SAMPLES} in calls
+
+
+@pytest.mark.parametrize("height", [0.3, 3.0], ids=["low", "without an end"])
+def test_a_wall_without_an_end_is_said(tmp_path, height):
+    (tmp_path / "gantry.xml").write_text(gantry(wall=f'type="box" size="0.05 0.5 {height}"'), encoding="utf-8")
+    lines = ('model = "gantry.xml"', 'start = "left"', 'goal = "right"', "duration = 2.0", "dt = 0.05", "avoid = {}")
+    (tmp_path / "problem.toml").write_text("\n".join(lines), encoding="utf-8")
+    problem = planner.load_problem(tmp_path / "problem.toml")
+    plan = planner.solve(problem, options=planner.SolverOptions(homotopy=False))
+    codes = [one.code for one in suggested_fixes(plan)]
+    assert codes == (["no_way_around"] if height > 1.0 else [])
+
+
+def test_more_clearance_is_not_tried_where_the_required_one_finds_nothing(tmp_path, monkeypatch):
+    """So that a plan does not depend on what was searched before it."""
+    (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
+    (tmp_path / "problem.toml").write_text(TOML, encoding="utf-8")
+    problem = planner.load_problem(tmp_path / "problem.toml")
+    apart = pair_clearance_of(problem.constraints)
+    wider = replace(apart, more=np.full(len(apart.pairs), 0.1))
+    searched = []
+    monkeypatch.setattr(CollisionChecker, "_search", lambda self, *ends: searched.append(self._lower.max()))
+    checker = CollisionChecker(wider, problem.dynamics.mechanism)
+    assert checker.find_path(np.zeros(2), np.ones(2), samples=7) is None
+    assert searched == [apart.lower.max()]
