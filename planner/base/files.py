@@ -15,7 +15,7 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from planner.base.arguments import short_repr
@@ -54,8 +54,8 @@ _SENTENCES = {
 
 
 CONFINE = "PLANNER_CONFINE"
-"""Variable of the environment, also of child processes: the folder beside the package outside of which nothing is read
-as an input; see `confined`."""
+"""Variable of the environment, also of child processes: the folders beside the package outside of which nothing is read
+as an input, a line each, the one that the user named first; see `confined`."""
 _OWN = (Path(__file__).parents[1], Path(__file__).parents[2] / "mjcf")  # models of cases are inputs too
 
 
@@ -72,14 +72,20 @@ def confined(folder: PathLike | None) -> Iterator[None]:
         yield
 
 
+def also_from(folder: PathLike) -> AbstractContextManager[None]:
+    """A context in which files of a folder that this process writes may be read, too, where inputs are confined."""
+    given = os.environ.get(CONFINE)
+    return variables_set({CONFINE: "\n".join((given, os.path.realpath(folder)))} if given else {})
+
+
 def check_confined(path: PathLike, what: str, raises: type[PlannerError] = FileError) -> None:
     """Raise unless a file lies in the folder to which inputs are confined, or in the package."""
-    folder = os.environ.get(CONFINE)
-    if not folder or "\0" in os.fsdecode(path):  # no file can have that name
+    folders = os.environ.get(CONFINE, "").split("\n")
+    if not folders[0] or "\0" in os.fsdecode(path):  # no file can have that name
         return
-    place = Path(os.path.realpath(path))
-    if not any(place.is_relative_to(root) for root in (folder, *_OWN)):
-        raise raises(f"{what} {printable(path)} is outside of {printable(folder)}, expected a file in it (--confine).")
+    place, named = Path(os.path.realpath(path)), printable(folders[0])
+    if not any(place.is_relative_to(root) for root in (*folders, *_OWN)):
+        raise raises(f"{what} {printable(path)} is outside of {named}, expected a file in it (--confine).")
 
 
 def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: type[PlannerError] = FileError) -> bytes:

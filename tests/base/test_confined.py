@@ -6,7 +6,7 @@ import pytest
 
 from planner.__main__ import main
 from planner.base.errors import FileError
-from planner.base.files import CONFINE, confined, read_input
+from planner.base.files import CONFINE, also_from, confined, read_input
 
 ARM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0"/><geom name="link" size="0.1" pos="0 0 -1"/>
 <site name="hand"/></body></worldbody><actuator><motor joint="hinge"/></actuator></mujoco>"""
@@ -81,3 +81,15 @@ def test_a_message_has_no_word_of_a_file_that_another_names(places, capsys):
 def test_a_folder_that_is_not_there_is_refused(capsys):
     assert main(["list", "--confine", "nowhere"]) == 2
     assert "--confine is nowhere, expected an existing folder" in capsys.readouterr().err
+
+
+def test_a_run_reads_what_it_wrote_outside(places, capsys, monkeypatch):
+    """Its folder is named by who runs it, not by the stranger's file."""
+    inside, outside = places
+    (inside / "reach.toml").write_text(PROBLEM.format(model="arm.xml", more="goal = [1.0]"))
+    monkeypatch.chdir(inside.parent)
+    words = ["run", "inside/reach.toml", "--confine", "inside", "--no-video", "--rollouts", "0"]
+    assert main(words) == 0, capsys.readouterr().err
+    assert (inside.parent / "renders" / "reach" / "report.html").is_file()
+    with confined(inside), also_from(inside.parent / "renders"), pytest.raises(FileError, match="inside, expected"):
+        read_input(outside, "the model")
