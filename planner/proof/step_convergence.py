@@ -35,7 +35,9 @@ LEVELS_OF_SUBSTEPS = 3  # number of step sizes from a substep on: the minimum th
 MAX_LEVELS = 7  # number of step sizes where the first ones are too coarse to show an order
 MAX_STEPS = 256  # upper limit of steps per stage
 UNCERTAIN = 0.1  # of the cost's bound: smaller uncertainties need no finer level where no order is judged
-_SEEN = 1e-9  # change of the end state below which it is rounding
+# Change of the end state above which it is no rounding; and above which it may tell an order, but no shortfall of one.
+_SEEN, _MAY_BE_SEEN = 1e-9, 1e-11
+_FASTEST = 2.0**6  # ratio of two changes, beyond which one of them is a coincidence
 _SAFETY = 1.25  # Roache's factor for three grids and more
 
 
@@ -162,12 +164,17 @@ def _observed_between(plan: Plan, levels: list[tuple[np.ndarray, float]]) -> tup
 
 
 def _observed(changes: np.ndarray) -> float | None:
-    """The order over the last two changes that are above rounding."""
+    """The order over the last two changes that are above rounding; or over those a halving further, where it is higher.
+
+    Coarse steps may not show the order yet, of a machine that swings fast at its end for example.
+    """
     seen = np.flatnonzero(changes > _SEEN)
     if len(changes) < 2 or (np.isfinite(changes).all() and (len(seen) == 0 or seen[-1] == 0)):
         return None
     last = int(seen[-1]) if np.isfinite(changes).all() else len(changes) - 1
     observed = float(np.log2(changes[last - 1] / changes[last]))
+    if last + 1 < len(changes) and changes[last + 1] > max(_MAY_BE_SEEN, changes[last] / _FASTEST):
+        observed = max(observed, float(np.log2(changes[last] / changes[last + 1])))
     return observed if np.isfinite(observed) else 0.0
 
 

@@ -139,7 +139,8 @@ def test_a_cost_that_a_finer_step_changes_fails_open_loop(proofs):
     ("changes", "order"),
     [
         ([16.0, 4.0, 1.0], 2.0), ([1.0, 1e-10], None), ([1e-3, 1e-4, 1e-10], np.log2(10.0)), ([0.0, 0.0], None),
-        ([np.inf, np.nan], 0.0), ([1.0], None),
+        ([np.inf, np.nan], 0.0), ([1.0], None), ([1.9e-7, 1.8e-8, 1.4e-9, 9e-11], np.log2(140.0 / 9.0)),
+        ([1.6e-8, 2e-9, 4e-10], 3.0), ([8e-9, 4e-9, 9e-12], 1.0),
     ],
 )  # fmt: skip
 def test_the_observed_order_of_changes(changes, order):

@@ -10,7 +10,8 @@ from rolled_out_plans import rolled_out
 import planner
 from planner import FrameCost, Mechanism, Problem, RigidBodyDynamics, TrackingCost, cases
 from planner.model.coordinates import coordinates_of
-from planner.problem.goals import MIN_TOLERANCES, SHARE, goals_of
+from planner.problem.goals import MIN_TOLERANCES, SHARE, goals_of, unchecked_goals
+from planner.problem.objective import with_objective
 from planner.proof.consistency import recomputed
 from planner.proof.error_scales import SHARE as OF_RANGE
 from planner.proof.error_scales import path_error_bounds
@@ -106,6 +107,13 @@ def test_the_end_of_a_cost_of_ones_own_is_said_not_to_be_judged():
         return Own(Q, np.tile(0.01 * np.eye(1), (N, 1, 1)), [1.5, 0.0])
 
     assert ", the end of Own was not judged;" in proof_of(planner.solve(pendulum(cost=cost))).headline
+
+
+def test_the_end_of_the_packages_own_costs_is_judged():
+    """An objective of energy asks nothing of the end, beside the goals that are judged."""
+    problem = with_objective(cases.two_link(horizon=30), {"effort": 1.0, "energy": 1.0})
+    xs = np.linspace(0.0, 1.0, 31)[:, None] * np.ones(4)  # it moves in its last stage, too
+    assert unchecked_goals(problem, xs, np.ones((30, 2))) == ()
 
 
 def test_tolerances_are_2_per_cent_of_the_way_and_of_the_peak():

@@ -31,6 +31,7 @@ term. The cost is computed in NumPy, so a problem with it is solved by the NumPy
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -41,9 +42,10 @@ from planner.base.arguments import LONGEST_HORIZON, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.joint_forces import force_derivatives_at, forces_at
+from planner.model.coordinates import Coordinate
 from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, heavy_joints, prescribed_dofs, with_force_inputs
 from planner.problem.costs.jerk import Accelerations
-from planner.problem.costs.terms import Quadratic, Term
+from planner.problem.costs.terms import GoalSpec, Quadratic, Term
 from planner.problem.costs.tracking import one_each
 
 SMOOTHING = 1.0
@@ -112,6 +114,10 @@ class EnergyCost(Term):
         Q[:N] = np.swapaxes(by_x, 1, 2) @ (curvature[:, :, None] * by_x)
         weighted = np.swapaxes(curvature[:, :, None] * by_u, 1, 2)
         return Quadratic(Q, q, weighted @ by_u, r, weighted @ by_x)
+
+    def goal_specs(self, _: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
+        """No goals: the end of the last stage is where its work ends, and nothing is asked of it."""
+        return ()
 
     def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mean forces f (N, nu), displacements d (N, nu), and deviations (N, ndx) from one knot to the next."""
