@@ -8,6 +8,6 @@ planner.render_video(proof.replay, "hopper.mp4")
 
 from planner.base.late_imports import public_names
 
-__version__ = "0.2.0"
+__version__ = "0.3.0.dev0"
 
 __getattr__, __dir__, __all__ = public_names(__name__)
