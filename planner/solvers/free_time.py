@@ -25,7 +25,6 @@ import numpy as np
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
-from planner.problem.initial_guess import Trajectory
 from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import base_problem, checked_durations, durations_or_default, weights_of, with_objective
 from planner.problem.plan import Plan, Status
@@ -40,10 +39,13 @@ from planner.solvers.work import WorkBudget, budget_of, record_of_cut
 TOLERANCE = 1e-3
 """Default tolerance of the duration, relative."""
 LOOK = 60  # iteration limit of a warm-started solve, after which a large violation means that T is too short
+SECOND_LOOK = 300  # of one that goes on from there
 MAX_VIOLATION_RATIO = 1000.0  # violation / tolerance above which T is too short; 100 rejects a feasible T of two-link
 AFRESH_WORK = 5.0  # limit of the work of such a solve, which is relaxed: most that fail take all of it
-_AFRESH = 0.95  # times the least duration found, at which a solve begins afresh
+NEAREST, FREE, AFRESH = "the nearest plan", "its free plan", "its free plan, relaxed"  # with what a solve begins
+_SHORTER = 0.95  # times the least duration found, at which a solve begins afresh
 _SHRINK = 0.85  # ratio of successive durations: 15 per decade
+_MOST_SHRUNK = 0.5  # the same at the least, after several that were long enough
 
 
 class DurationTrial(NamedTuple):
@@ -206,10 +208,11 @@ class _DurationSearch:
         self.best: tuple[float, float] | None = None  # lowest value, and its duration
         self.budget, self.is_cut = options.get("budget"), False
 
-    def at(self, duration: float, value: Callable[[DurationTrial], float], afresh: bool = False) -> float:
+    def at(self, duration: float, value: Callable[[DurationTrial], float], begin: str = NEAREST) -> float:
         """Solve at a duration, s; the value of its trial, infinite if the limits are violated.
 
-        With `afresh` it starts from the free plan and is relaxed as any solve, as if no other duration were known.
+        It begins with the plan of the nearest duration, or with the free plan of its own; AFRESH is relaxed from there
+        as any solve, as if no other duration were known.
         """
         duration = float(duration)
         if self.last is not None and self.budget is not None and self.budget.exhausted:
@@ -217,27 +220,25 @@ class _DurationSearch:
             raise _Cut
         problem = with_objective(retimed(base_problem(self.problem), duration), self.rest)
         options: dict[str, Any] = single_start(self.options) if self.tried else self.options
-        if afresh:
+        if begin == AFRESH:
             left = WorkBudget(AFRESH_WORK) if self.budget is None else self.budget.part("afresh")
             left.limit = min(left.limit, AFRESH_WORK)
             options = single_start(self.relaxed) | {"budget": left}
-        plan = None
-        if self.budget is not None and self.tried and not afresh:
+        if self.budget is not None and self.tried:
             self.budget.charge_warm_start(problem)
-        if self.plans and not afresh:
-            nearest_duration = min(self.plans, key=lambda T: abs(math.log(T / duration)))
+        if self.plans and begin == NEAREST:
+            nearest = min(self.plans, key=lambda T: abs(math.log(T / duration)))
             if self.alone:
-                plan = self._first_look(problem, self.plans[nearest_duration].stretched(duration), options)
-            if plan is None:
-                problem = replace(
-                    problem, us=warm_start(_at_pace(self.plans[nearest_duration], nearest_duration / duration), problem)
-                )
+                options = options | {"warm_start": self.plans[nearest].stretched(duration)}
+            else:
+                problem = replace(problem, us=warm_start(_at_pace(self.plans[nearest], nearest / duration), problem))
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
             free = retimed(_without_objective(self.problem), duration)
             if not free.constraints:  # else a path through an obstacle is a bad guess
                 free = replace(free, limits=None)
             problem = replace(problem, us=warm_start(solve(free, **single_start(options)), problem))
-        plan = self.last = solve(problem, **options) if plan is None else plan
+        looks = self.alone and bool(self.plans) and begin != AFRESH
+        plan = self.last = self._with_first_look(problem, options) if looks else solve(problem, **options)
         outside = _outside(problem, plan)
         line = DurationTrial(len(self.tried), duration, plan.cost, outside, plan.nit, plan.status)
         self.tried.append(line)
@@ -248,7 +249,7 @@ class _DurationSearch:
         allowed = Limits.tolerance if problem.limits is None else problem.limits.tolerance
         goal_missed = self.alone and problem.goal_specs is not None and bool(plan.missed_goals)  # which nothing keeps
         left = plan.status is Status.OUTSIDE_LIMITS  # also between the knots
-        left = left or (afresh and not plan.converged)  # of a share of the work
+        left = left or (begin == AFRESH and not plan.converged)  # of a share of the work
         if not (np.isfinite(plan.xs).all() and outside <= allowed) or left or goal_missed:
             return math.inf
         self.plans[duration] = plan
@@ -261,18 +262,19 @@ class _DurationSearch:
         """The objective of a trial, time included."""
         return self.weights["time"] * trial.duration + trial.cost
 
-    def _first_look(self, problem: Problem, motion: Trajectory, options: dict[str, Any]) -> Plan | None:
-        """A solve warm-started from a stretched trajectory, at most LOOK iterations; None if it is undecided.
+    def _with_first_look(self, problem: Problem, options: dict[str, Any]) -> Plan:
+        """A solve that goes on after LOOK iterations only where it is undecided whether the duration is too short.
 
         From a similar duration a feasible plan usually takes some dozens of iterations. A violation above
         MAX_VIOLATION_RATIO tolerances then means that the duration is too short.
         """
         assert problem.limits is not None  # set by _exact
         limit = with_overrides(options.get("options"), max_iterations=options.get("max_iterations")).max_iterations
-        most = min(LOOK, limit)
-        plan = solve(problem, **options | {"warm_start": motion, "max_iterations": most})
-        ended = plan.converged or plan.status is Status.INTERRUPTED
-        return plan if ended or not _outside(problem, plan) <= MAX_VIOLATION_RATIO * problem.limits.tolerance else None
+        plan = solve(problem, **options | {"max_iterations": min(LOOK, limit)})
+        ended = plan.status is not Status.MAX_ITERATIONS or limit <= LOOK
+        if ended or not _outside(problem, plan) <= MAX_VIOLATION_RATIO * problem.limits.tolerance:
+            return plan
+        return solve(problem, **options | {"warm_start": plan, "max_iterations": min(limit - LOOK, SECOND_LOOK)})
 
     def best_plan(self, options: dict[str, Any]) -> Plan:
         """The best plan with the whole objective, time included; the last plan if none satisfies the limits."""
@@ -295,34 +297,42 @@ def _outside(problem: Problem, plan: Plan) -> float:
 
 
 def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:
-    """Minimum feasible duration: reduced by _SHRINK until infeasible, then bisection.
+    """Minimum feasible duration: reduced by _SHRINK, then faster, until infeasible; then bisection.
 
-    There may be other ways, with one swing less, in durations to which none leads from the longer plan: so one below
-    the least that was found is tried afresh.
+    There may be other ways, with one swing less, in durations to which none leads from the longer plan. So each that is
+    too short for its neighbour's plan is also tried from its own free plan, and after the bisection one a
+    little below the least that was found afresh.
     """
 
-    def misses(duration: float, afresh: bool = False) -> bool:
-        return math.isinf(search.at(duration, lambda line: line.duration, afresh))
+    def misses(duration: float, begin: str = NEAREST) -> bool:
+        return math.isinf(search.at(duration, lambda line: line.duration, begin))
 
     high = low = float(np.clip(search.problem.duration, shortest, longest))
     if misses(high):
         if high == longest or misses(longest):
             return
         low, high = high, longest
+    ratio, too_short = _SHRINK, 0.0
     while True:
         while low == high:
             if high == shortest:
                 return
-            low = max(shortest, _SHRINK * high)
-            high = high if misses(low) else low
+            trial = max(shortest, ratio * high)
+            if trial <= too_short:
+                low = too_short
+            elif not (misses(trial) and misses(trial, FREE)):
+                low, high, ratio = trial, trial, max(_MOST_SHRUNK, ratio**2)
+            elif ratio == _SHRINK:
+                low = trial
+            else:
+                too_short, ratio = trial, _SHRINK
         while high - low > tolerance * high:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if misses(middle) else (low, middle)
-        shorter = _AFRESH * high
-        spent = search.budget is not None and search.budget.exhausted
-        if spent or shorter < shortest or misses(shorter, afresh=True):
+        shorter, spent = _SHORTER * high, search.budget is not None and search.budget.exhausted
+        if spent or shorter < shortest or misses(shorter, AFRESH):
             return
-        low = high = shorter
+        low, high, too_short = shorter, shorter, 0.0
 
 
 def _cheapest(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:
