@@ -73,7 +73,7 @@ from planner.cases.problem_file.feasibility_checks import (
     check_momentum,
 )
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
-from planner.cases.problem_file.keys import KEYS, RESOLVED, TABLES
+from planner.cases.problem_file.keys import KEYS, POSES, RESOLVED, TABLES
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.resolved_defaults import with_resolved
@@ -225,6 +225,8 @@ def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Probl
     """
     table = {name: value for name, value in table.items() if value is not None}
     table = with_defaults(table, "the problem file", stored=True)
+    if POSES in table.get(RESOLVED, ()):
+        table[RESOLVED] = table[RESOLVED] | {POSES: None}  # what is asked for may have changed
     return _problem(table, mechanism, "the problem file", constraints)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from planner.base.arguments import choice, count, number, numbers, short_repr
 from planner.base.data_files import check_keys
 from planner.base.errors import PlannerError
-from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RAMP, RESOLVED, WEIGHTS
+from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, POSES, RAMP, RESOLVED, WEIGHTS
 from planner.cases.problem_file.reference_guess import GUESSES
 from planner.dynamics.rigid_body import MAX_SUBSTEPS
 from planner.problem.costs.terms import checked_tolerance, stored_tolerance
@@ -26,9 +26,8 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
     A plan's own table, `stored`, holds beside the keys of a file what was chosen by itself.
     """
     check_keys(table, (*KEYS, RESOLVED, PARAMETER) if stored else KEYS, where)
-    for name, keys in (
-        ("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, ("weights", "reasons", WAYPOINTS, RAMP)),
-    ):  # fmt: skip
+    chosen = ("weights", "reasons", WAYPOINTS, RAMP, POSES)
+    for name, keys in (("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, chosen)):
         part = table.get(name, {})
         if not isinstance(part, dict):
             raise PlannerError(
