@@ -1,4 +1,4 @@
-"""A stored plan has the poses of its goals: loading it solves no inverse kinematics, and without them it still loads."""
+"""A stored plan has its first guess and the poses of its goals: loading it seeks neither, without them it does."""
 
 import json
 
@@ -7,8 +7,9 @@ import pytest
 from arms import hand, write
 
 import planner
-from planner.cases.problem_file import load
+from planner.cases.problem_file import build, load
 from planner.cases.problem_file.keys import POSES, RESOLVED
+from planner.problem.archive import PART
 from planner.problem.tasks import poses
 
 MIDDLE, END = ([float(x), 0.0, float(z)] for x, z in (hand(-2.0, -0.8), hand(-1.0, -1.2)))
@@ -46,18 +47,19 @@ def searches(monkeypatch):
     return seen
 
 
-def edited(path, folder, change):
-    """The plan's file, with what its table has resolved changed."""
+def edited(path, folder, change, without=()):
+    """The plan's file without some arrays, and with what its table has resolved changed."""
     with np.load(path) as file:
-        content = dict(file)
+        content = {name: file[name] for name in file.files if name not in without}
     meta = json.loads(str(content["meta"]))
     change(meta["recipe"]["parameters"][RESOLVED])
     np.savez(folder / "edited.npz", **content | {"meta": np.array(json.dumps(meta))})
     return folder / "edited.npz"
 
 
-def test_loading_searches_for_no_pose(stored, searches):
+def test_loading_searches_for_no_pose_and_no_first_guess(stored, searches, monkeypatch):
     plan, path = stored
+    monkeypatch.setattr(build, "first_guess", lambda *_: pytest.fail("a first guess was sought"))
     again = planner.load_plan(path)
     assert not searches
     assert again.parameters == plan.parameters
@@ -65,9 +67,9 @@ def test_loading_searches_for_no_pose(stored, searches):
     assert again.problem.cost.value(plan.xs, plan.us) == plan.problem.cost.value(plan.xs, plan.us)
 
 
-def test_a_file_without_poses_is_loaded_by_searching(stored, searches, tmp_path):
+def test_a_file_of_an_older_version_is_loaded_by_searching(stored, searches, tmp_path):
     plan, path = stored
-    again = planner.load_plan(edited(path, tmp_path, lambda resolved: resolved.pop(POSES)))
+    again = planner.load_plan(edited(path, tmp_path, lambda resolved: resolved.pop(POSES), [f"{PART}us"]))
     assert searches
     np.testing.assert_array_equal(again.problem.first_guess, plan.problem.first_guess)
 
@@ -87,3 +89,12 @@ def test_poses_of_a_changed_task_are_found_anew(stored, searches):
     found = other.parameters[RESOLVED][POSES]
     assert len(found["q"]) == 2
     assert found["q"][-1] != problem.parameters[RESOLVED][POSES]["q"][-1]
+
+
+def test_a_first_guess_of_another_horizon_is_refused(stored, tmp_path):
+    with np.load(stored[1]) as file:
+        content = dict(file)
+    content[f"{PART}us"] = content[f"{PART}us"][1:]
+    np.savez(tmp_path / "short.npz", **content)
+    with pytest.raises(planner.PlannerError, match=r"made for N = 50, expected us = 49|us has shape"):
+        planner.load_plan(tmp_path / "short.npz")

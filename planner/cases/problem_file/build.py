@@ -187,8 +187,8 @@ def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
     return choice("case", table["case"], cases.CASES), given, starts, count("seed", table.get("seed", 0), minimum=0)
 
 
-def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
-    """The problem of a stored plan, from its table and the model beside it.
+def of_table(table: dict[str, Any], twin: Twin | None, us: np.ndarray | None = None) -> Problem:
+    """The problem of a stored plan, from its table, the model beside it and its first guess (N, nu).
 
     Raises:
         PlannerError: The table or the model is missing or wrong.
@@ -197,7 +197,7 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
         raise PlannerError("its model is missing.")
     table = with_defaults({"substeps": 1} | table, "the plan", stored=True)  # older plans know of no substeps
     mechanism = replace(machine_of(twin.planned, table, twin.assets), original=twin.original)
-    return _problem(table, mechanism, "the plan")
+    return _problem(table, mechanism, "the plan", us=us)
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -231,11 +231,12 @@ def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Probl
 
 
 def _problem(
-    table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = ()
-) -> Problem:
+    table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = (),
+    us: np.ndarray | None = None,
+) -> Problem:  # fmt: skip
     """The problem of a table; what is refused says how the model was read: a joint, or its range, may be missed."""
     try:
-        return _built(table, mechanism, where, constraints)
+        return _built(table, mechanism, where, constraints, us)
     except PlannerError as error:
         left_out = _left_out(mechanism)
         read = [f"The model is read without {' and '.join(left_out)}."] if left_out else []
@@ -260,7 +261,9 @@ def _left_out(mechanism: Mechanism) -> list[str]:
     return [phrase for phrase in mechanism.ignored if phrase != "contacts"]
 
 
-def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...]) -> Problem:
+def _built(
+    table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...], us: np.ndarray | None
+) -> Problem:
     told, rebuilt = "", RESOLVED in table
     if table.get("prescribed"):
         mechanism = mechanism.without_lead_stops()
@@ -334,7 +337,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         table = table | {"goal": [one.goal.to_dict() for one in way.task.goals]}
         passed = ", ".join(f"{way.task.goals[k].time:.3g}" for k in way.waypoints)
         reasons["goal"] = f"Via points without times are passed at {passed} s, in proportion to the way of the joints."
-    along = None if way is None else guess_of(way, dynamics, x0)
+    along = guess_of(way, dynamics, x0) if way is not None and us is None else None
     steps, cyclic, paths = steps_of(table), None, None
     if cycle is not None:
         cyclic = motion_in(table, cycle, dynamics, x0, N, limits)
@@ -374,7 +377,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic.image, cycle),
         actual_reduction_tolerance=_gain(mechanism, cycle),
     )  # fmt: skip
-    problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
+    problem = replace(problem, us=first_guess(problem, table["guess"], goal, along) if us is None else us)
     if way is not None and wanted is not None:
         check_task_departure(x0, wanted, way.task)
         check_goal_controllable(problem, way.rows)
