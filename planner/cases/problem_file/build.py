@@ -53,8 +53,8 @@ from typing import Any
 import numpy as np
 
 from planner import cases
-from planner.base.arguments import choice, count, number, short_repr
-from planner.base.data_files import check_file, problem_files, read_table
+from planner.base.arguments import choice, number, short_repr
+from planner.base.data_files import check_file, check_values, problem_files, read_table
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.cycles import (
@@ -73,7 +73,7 @@ from planner.cases.problem_file.feasibility_checks import (
     check_momentum,
 )
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
-from planner.cases.problem_file.keys import KEYS, POSES, RESOLVED, TABLES
+from planner.cases.problem_file.keys import DEFAULTS, KEYS, POSES, RESOLVED, TABLES, VALUES
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.resolved_defaults import with_resolved
@@ -81,7 +81,7 @@ from planner.cases.problem_file.solving import ProblemFile
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.stops import at_rest_on_stops, off_stops
-from planner.cases.problem_file.table import checked_starts, checked_values, with_defaults, with_model_limits
+from planner.cases.problem_file.table import checked_values, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
     check_task_departure,
     cost_of,
@@ -106,11 +106,10 @@ from planner.problem.default_appearance import default_appearance, with_marks
 from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.limits import Limits
 from planner.problem.model_lint import angles_in_degrees, ranges_in_degrees
-from planner.problem.objective import durations_or_default, with_objective
+from planner.problem.objective import with_objective
 from planner.problem.problem import Problem
-from planner.problem.problem_parts import PROBLEM_FILE, Recipe
+from planner.problem.problem_parts import MAX_STAGES, PROBLEM_FILE, Recipe, durations_or_default
 from planner.problem.reaching_cost import along_gait, straight_reference, weighed
-from planner.problem.rediscretize import MAX_STAGES
 from planner.problem.tasks.cycle import Cycle
 from planner.problem.tasks.phases import free_times
 from planner.solvers.periodic_boundary import PARAMETER
@@ -142,7 +141,7 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     """
     path = Path(path)
     table = table | {name: value for name, value in instead.items() if value is not None}
-    check_file(table, KEYS, TABLES, str(path))
+    check_file(table, KEYS, TABLES, VALUES, str(path))
     table, cycles = without_cycles(table)
     table = with_files(with_defaults(with_model_limits(table), str(path)), path.parent)
     duration = number("duration", table["duration"], greater_than=0.0)
@@ -183,8 +182,8 @@ def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
     if "model" in table:
         raise PlannerError(f"{path} has both a case and a model, expected one of the two.")
     given = {name: value for name, value in table.items() if name not in ("case", "starts", "seed")}
-    starts = checked_starts(table.get("starts", 1))
-    return choice("case", table["case"], cases.CASES), given, starts, count("seed", table.get("seed", 0), minimum=0)
+    own = check_values({name: table.get(name, DEFAULTS[name]) for name in ("starts", "seed")}, VALUES)
+    return choice("case", table["case"], cases.CASES), given, own["starts"], own["seed"]
 
 
 def of_table(table: dict[str, Any], twin: Twin | None, us: np.ndarray | None = None) -> Problem:
