@@ -34,7 +34,7 @@ def command(words: list[str]) -> int:
     # A kill ends like an exception, so that hidden folders are removed.
     for kill in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(kill, lambda number, _: sys.exit(128 + number))
-    console = Console(as_json="--json" in words, quiet="--quiet" in words)
+    console = Console(as_json="--json" in words, quiet="--quiet" in words, verbose="--verbose" in words)
     with np.errstate(all="ignore"):  # a sentence says what is wrong
         return _run(words, console)
 

@@ -120,6 +120,7 @@ IMPORTS: Flags = {
 COMMON: Flags = {
     "--json": boolean_flag("Print one JSON document on stdout."),
     "--quiet": boolean_flag("Print no progress."),
+    "--verbose": boolean_flag("Print every measured number and, at a terminal, every iteration."),
     "--confine": value_flag("DIR", "Read no input outside of this folder: for models and problem files of strangers."),
 }
 

@@ -128,7 +128,7 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
             unfinished.write_text(json_text(found | {"plan_digest": digest}), encoding="utf-8")
     fixes = suggested_fixes(plan, proof)
     show_proof(
-        replace(proof, sections=proof.sections | sections), fixes, console
+        replace(proof, sections=proof.sections | sections), fixes, console, whole=True
     )  # shown: they are no part of the verdict
     for section in sections.values():
         for one in section.measured:
