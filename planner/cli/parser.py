@@ -96,6 +96,11 @@ class _Parser(argparse.ArgumentParser):
         return f"{text}\n{formatter.format_help()}"
 
     def error(self, message: str) -> NoReturn:
+        """Raise the message, with the choices of the arguments that it names."""
+        for action in self._actions:
+            for name in (action.option_strings or [str(action.metavar)]) if action.choices is not None else ():
+                told = f"{name} (one of: {', '.join(action.choices or ())})"
+                message = re.sub(rf"(?<![\w-]){re.escape(name)}(?![\w-])", lambda _, told=told: told, message)
         raise PlannerError(f"{message.removeprefix('argument ').rstrip('.')} (see {self.prog} --help).")
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
