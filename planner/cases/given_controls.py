@@ -34,12 +34,11 @@ from planner.problem.costs.tracking import TrackingCost
 from planner.problem.initial_guess import inverse_dynamics_controls
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.problem.recording import TIME, read_recording
+from planner.problem.recording import POSITION, TIME, read_recording
 from planner.proof.replays.replaying import Replay
 from planner.solvers import lq
 from planner.solvers.gains import tracking_gains
 
-POSITION = "position of "
 EVEN = 0.01  # relative, of the spacing of times
 _CONTROL_WEIGHT = 0.01  # of a control of the largest size, where 1 rad and 1 rad/s have the weight 1
 _START_TOLERANCE = 0.01  # rad or m, between a given start and the first row of positions

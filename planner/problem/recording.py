@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +21,8 @@ from planner.base.files import check_confined, printable, read_input, read_text
 
 MAX_ROWS = 100_000
 TIME = "time"
+POSITION = "position of "  # before a joint's name where an actuator is called the same
+_UNIT = re.compile(r" \[(s|rad|m|rad/s|m/s|N|N m)\]$")  # behind a name in a heading; others are a part of the name
 _TIMES = ("t", TIME)  # headings of the column of times
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _STATE, _EPISODE, _TIMESTAMP = "observation.state", "episode_index", "timestamp"  # LeRobot's columns
@@ -68,7 +71,11 @@ def _read_csv(path: Path, what: str) -> Recording:
         lines = [row for row in csv.reader(io.StringIO(read_text(path, what))) if any(map(str.strip, row))]
     except csv.Error as error:
         raise FileError(f"{what} {printable(path)} is no CSV: {error}.") from None
-    heading = [cell.strip() for cell in lines[0]] if lines and not np.isfinite([*map(_number, lines[0])]).all() else []
+    heading = (
+        [_UNIT.sub("", cell.strip()) for cell in lines[0]]
+        if lines and not np.isfinite([*map(_number, lines[0])]).all()
+        else []
+    )
     if heading and heading[0].lower() in _TIMES:
         heading[0] = TIME
     rows = [[*map(_number, cells)] for cells in lines[bool(heading) :]]

@@ -14,6 +14,7 @@ import planner
 from planner.cases.given_controls import plan_of_controls
 from planner.model.mechanism import Mechanism
 from planner.problem.export import left_out
+from planner.problem.tasks.goal import with_points
 
 FLYING = """
 <mujoco model="flying">
@@ -51,8 +52,8 @@ def read_csv(path):
 def test_a_csv_gives_every_bit_back(arm, tmp_path):
     header, table = read_csv(arm.to_csv(tmp_path / "plan.csv"))
     assert header == [
-        "time", "position of shoulder", "position of elbow", "velocity of shoulder", "velocity of elbow", "shoulder",
-        "elbow",
+        "time [s]", "position of shoulder [rad]", "position of elbow [rad]", "velocity of shoulder [rad/s]",
+        "velocity of elbow [rad/s]", "shoulder [N m]", "elbow [N m]",
     ]  # fmt: skip
     assert np.array_equal(table[:, 0], arm.t)
     assert np.array_equal(table[:, 1:5], arm.xs)
@@ -69,11 +70,20 @@ def test_a_csv_of_controls_is_a_plan_again(arm, tmp_path):
     assert np.abs(again.xs - arm.xs).max() < 1e-9
 
 
+def test_a_csv_is_a_path_to_follow_again(arm, tmp_path):
+    """Positions, where actuators have the names of joints; and other units than those of a plan are not left out."""
+    arm.to_csv(tmp_path / "plan.csv")
+    follow = with_points({"file": "plan.csv", "joints": ["elbow", "shoulder"]}, tmp_path)
+    assert np.array_equal(follow["points"], np.column_stack([arm.t, arm.xs[:, [1, 0]]]))
+    (tmp_path / "degrees.csv").write_text("t,elbow [deg]\n0,1\n1,2\n")
+    assert with_points({"file": "degrees.csv"}, tmp_path)["joints"] == ["elbow [deg]"]
+
+
 def test_names_of_quaternions_and_of_what_has_the_name_of_an_actuator(flying, tmp_path):
     header, table = read_csv(flying.to_csv(tmp_path / "plan.csv"))
     assert header[1:13] == [
-        "base x", "base y", "base z", *(f"base quaternion {axis}" for axis in "wxyz"),
-        *(f"hip quaternion {axis}" for axis in "wxyz"), "position of knee",
+        "base x [m]", "base y [m]", "base z [m]", *(f"base quaternion {axis}" for axis in "wxyz"),
+        *(f"hip quaternion {axis}" for axis in "wxyz"), "position of knee [rad]",
     ]  # fmt: skip
     assert len(set(header)) == len(header)
     assert np.array_equal(table[:, 1 : 1 + flying.xs.shape[1]], flying.xs)

@@ -18,7 +18,7 @@ import numpy as np
 from planner.base.arguments import array, choice, number, numbers, quaternion, short_repr, unit_vector
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable
-from planner.problem.recording import TIME, read_recording
+from planner.problem.recording import POSITION, TIME, read_recording
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 PARTS = ("position", "orientation", "pointing", "velocity")
@@ -302,6 +302,8 @@ def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         rest["joints"] = list(heading[1:])
     elif heading and table.get("frame") is not None and heading not in ((TIME, *COORDINATES), COORDINATES):
         raise FileError(f"{printable(path)} has another heading than t,x,y,z.")
-    elif isinstance(joints, list) and heading[:1] == (TIME,) and all(name in heading for name in joints):
-        rows = rows[:, [0, *map(heading.index, joints)]]
+    elif isinstance(joints, list) and heading[:1] == (TIME,):
+        names = [f"{POSITION}{name}" if f"{POSITION}{name}" in heading else name for name in joints]
+        if set(names) <= set(heading):
+            rows = rows[:, [0, *map(heading.index, names)]]
     return {**rest, "points": rows.tolist()}
