@@ -299,10 +299,10 @@ def parse(argv: list[str]) -> argparse.Namespace:
         if ending.endswith(".toml"):
             argv = [argv[0], PROBLEM_FILE, *argv[1:]]
         elif ending.endswith((".xml", ".mjcf", ".urdf", ".xacro")):
-            cases = value_of("planner.cases", "CASES")
+            written = f"{Path(argv[1]).stem}.toml"
             raise PlannerError(
-                f"{argv[1]} is a model, expected a case ({', '.join(cases)}) or a {PROBLEM_FILE} that names the model "
-                f"(planner model {argv[1]} --write {Path(argv[1]).stem}.toml writes one to start from)."
+                f"{argv[1]} is a model, expected a problem file: `planner model {argv[1]} --write {written}` writes "
+                f"one, then `planner {argv[0]} {written}`."
             )
     arguments, unknown = build(argv).parse_known_args(argv)
     if not unknown:

@@ -273,7 +273,7 @@ def _built(
         table = {"goal": {}} | table
     for key in ("start", *(() if "follow" in table else ("goal",))):
         if key not in table:
-            wanted = states_of(mechanism)
+            wanted = states_of(mechanism, as_drawn=key != "start")
             if key == "start":
                 wanted += f": as drawn, {conflict_as_drawn(mechanism)}; `planner model FILE --write` has a start"
             more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
