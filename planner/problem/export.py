@@ -24,7 +24,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -190,7 +190,12 @@ def state_names(plan: ExportedMotion) -> tuple[Coordinate, ...]:
         known = tuple(Coordinate(f"x[{i}]", "") for i in range(space.ndx))
     else:
         known = coordinates_of(plan.problem.dynamics)
-    names, taken = [], {name for name, _ in control_names(plan)}
+    return names_of_states(known, space, {name for name, _ in control_names(plan)})
+
+
+def names_of_states(known: Sequence[Coordinate], space: StateSpace, taken: Collection[str]) -> tuple[Coordinate, ...]:
+    """As state_names(), of the coordinates of a space and the names that controls have taken."""
+    names: list[Coordinate] = []
     addresses = dict(space.quaternions)  # of each quaternion: its address in the deviation
     address = 0  # in the deviation
     while len(names) < space.nx:

@@ -143,7 +143,7 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     table = table | {name: value for name, value in instead.items() if value is not None}
     check_file(table, KEYS, TABLES, VALUES, str(path))
     table, cycles = without_cycles(table)
-    table = with_files(with_defaults(with_model_limits(table), str(path)), path.parent)
+    table = with_defaults(with_model_limits(table), str(path))
     duration = number("duration", table["duration"], greater_than=0.0)
     phases, free = free_times(table.get("phase"), duration)
     objective = table.get("objective", ())
@@ -156,7 +156,8 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
         if key in table:
             table[key] = stored_records(records(table[key]), file, path.parent)
     folders = {"package_path": folders_of(path.parent, table["package_path"])} if "package_path" in table else {}
-    problem = _problem(table, machine_of(model_location(table["model"], path.parent), table | folders, None), str(path))
+    mechanism = machine_of(model_location(table["model"], path.parent), table | folders, None)
+    problem = _problem(with_files(table, path.parent, mechanism), mechanism, str(path))
     if cycles * problem.N > MAX_STAGES:
         raise PlannerError(
             f"periodic has {cycles} cycles of {problem.N} stages, expected at most {MAX_STAGES} stages together."

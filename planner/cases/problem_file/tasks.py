@@ -100,14 +100,17 @@ def with_tasks(table: dict[str, Any], mechanism: Mechanism) -> dict[str, Any]:
     return table
 
 
-def with_files(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The table of a file with the rows of the CSV files that its paths name."""
+def with_files(table: dict[str, Any], folder: Path, mechanism: Mechanism) -> dict[str, Any]:
+    """The table of a file with the rows of the recordings that its paths name."""
     given = table.get("follow")
+    joints, actuators = (
+        [name for name in names if name] for names in (mechanism.joint_names, mechanism.actuators.names)
+    )
+    read = partial(with_points, folder=folder, joints=joints, actuators=actuators)
     if isinstance(given, dict):
-        return table | {"follow": with_points(given, folder)}
+        return table | {"follow": read(given)}
     if isinstance(given, list):
-        paths = [with_points(path, folder) if isinstance(path, dict) else path for path in given]
-        return table | {"follow": paths}
+        return table | {"follow": [read(path) if isinstance(path, dict) else path for path in given]}
     return table
 
 
