@@ -46,7 +46,8 @@ def other_columns(recording: Recording, joints: Collection[str], actuators: Coll
 
 def missing_position(recording: Recording, joint: str, actuators: Collection[str]) -> str:
     """What a recording without positions of a joint is to have, for a message."""
-    wanted = f"expected a column {POSITION + joint!r} (rad or m)"
+    unprefixed = "" if joint in actuators or joint in recording.heading else f"{joint!r} or "
+    wanted = f"expected a column {unprefixed}{POSITION + joint!r} (rad or m)"
     if joint in recording.heading:
         whose = "an actuator has this name" if joint in actuators else "its unit is that of no position"
         return f"{wanted}: {joint!r} may be a control, since {whose}"

@@ -61,7 +61,7 @@ def test_prove_refuses_the_model_of_another_machine(finished, tmp_path):
         (("run", "two-link", "--starts", "2", "--seed", "-1"), ("--seed: '-1'", "at least 0")),
         (("run", "nowhere.toml"), ("nowhere.toml", "No such file")),
         (("solve", "nowhere.toml", "--height", "3"), ("--height",)),
-        (("run", "crane.xml"), ("crane.xml", "two-link", "PROBLEM.toml")),
+        (("run", "crane.xml"), ("crane.xml", "planner model crane.xml --write crane.toml")),
         (("fly",), ("fly", "run")),
         (("run", "hopper", "extra"), ("'extra'",)),
         (("prove", "nowhere.npz"), ("nowhere.npz", "does not exist")),
