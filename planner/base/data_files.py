@@ -13,7 +13,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from planner.base.arguments import did_you_mean, number, short_repr
+from planner.base.arguments import choice, count, did_you_mean, number, short_repr
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text, write_atomically
 
@@ -96,13 +96,43 @@ def check_keys(table: dict[str, Any], keys: Collection[str], where: str) -> None
             raise PlannerError(f"{where} has the key {short_repr(key)}, expected some of: {known}.{hint}")
 
 
-def check_file(table: dict[str, Any], keys: Collection[str], parts: Mapping[str, Collection[str]], where: str) -> None:
-    """Refuse unknown keys of a file and of its tables, and a duration that is missing or no number.
+def check_values(table: Mapping[str, Any], rules: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Those values of a table for which there are rules, checked.
+
+    Args:
+        table: Values by key.
+        rules: By key, `choices`: it is one of these words, or a table; else it is a number with the bounds of number(),
+            or of count() where it is `whole`. A `word` may stand in its place.
+
+    Raises:
+        PlannerError: One of them is something else.
+    """
+
+    def checked(name: str, word: str = "", whole: bool = False, choices: Collection[str] = (), **bounds: Any) -> Any:
+        value = table[name]
+        if choices:
+            return value if isinstance(value, Mapping) else choice(name, value, choices)
+        if isinstance(value, str) and value == word:
+            return value
+        try:
+            return (count if whole else number)(name, value, **bounds)
+        except PlannerError as error:
+            raise PlannerError(f"{str(error).rstrip('.')}{f', or {word!r}' if word else ''}.") from None
+
+    return {name: checked(name, **rule) for name, rule in rules.items() if name in table}
+
+
+def check_file(
+    table: dict[str, Any], keys: Collection[str], parts: Mapping[str, Collection[str]],
+    rules: Mapping[str, Mapping[str, Any]], where: str,
+) -> None:  # fmt: skip
+    """Refuse unknown keys of a file and of its tables, wrong values, and a duration that is missing or no number.
 
     Args:
         table: Of the file.
         keys: That it may have.
         parts: Keys of its tables by their names; a table `goal`, other than a list of them, has names of joints.
+        rules: Of values, as of check_values().
         where: The file's name.
 
     Raises:
@@ -124,6 +154,7 @@ def check_file(table: dict[str, Any], keys: Collection[str], parts: Mapping[str,
                     )
             if not joints:
                 check_keys(part, known, f"{place} of {where}")
+    check_values(table, rules)
     if "duration" in table:
         number("duration", table["duration"], greater_than=0.0)
     elif "durations" not in table:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from planner.base.data_files import finite
@@ -105,6 +105,12 @@ class Section:
             value = f"{one.value:.5g} {one.unit}".rstrip()
             rows.append((self.title, one.name.replace("_", " "), value, bound, mark))
         return rows
+
+    def judged_rows(self) -> list[tuple[str, str, str, str, str]]:
+        """Of rows(), those that fail; else that of the value nearest to its bound. None where nothing is judged."""
+        judged = [one for one in self.measured if one.bound is not None]
+        nearest = max(judged, key=lambda one: one.over if one.bound else 0.0, default=None)
+        return replace(self, measured=self.failures or tuple(filter(None, [nearest]))).rows()
 
     def to_dict(self) -> dict[str, Any]:
         """The section as JSON values."""

@@ -9,14 +9,15 @@ Instead of a CSV the file may be any that read_recording() knows.
 Columns named as actuators are controls, each row held until the next one's time; actuators without a column get zero.
 Columns named as joints (with `position of ` before the name where an actuator is called the same) are positions to be
 followed from the first row's time to the last one's: controls come from inverse dynamics of a spline through them, and
-the gains from an LQR about the motion. What the model has and a plan cannot have is left out of the planned machine;
-the proof says so, and replays the file as it is.
+the gains from an LQR about the motion. Of an exported plan, with states and controls, the controls are taken, from the
+state in its first row until the time of its last. What the model has and a plan cannot have is left out of the planned
+machine; the proof says so, and replays the file as it is.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,20 +27,21 @@ from planner.base.files import printable
 from planner.cases.problem_file.states import state_of
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.protocol import feedback_control, rollout, rollout_states
-from planner.model.coordinates import coordinates_of
+from planner.model.coordinates import controls_of_mechanism, coordinates_of, coordinates_of_mechanism
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.unsupported import KINDS
 from planner.model.urdf.read import read_model
 from planner.problem.costs.tracking import TrackingCost
+from planner.problem.export import names_of_states
 from planner.problem.initial_guess import inverse_dynamics_controls
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.problem.recording import TIME, read_recording
+from planner.problem.recorded_columns import control_columns, other_columns, position_columns
+from planner.problem.recording import POSITION, TIME, Recording, read_recording
 from planner.proof.replays.replaying import Replay
 from planner.solvers import lq
 from planner.solvers.gains import tracking_gains
 
-POSITION = "position of "
 EVEN = 0.01  # relative, of the spacing of times
 _CONTROL_WEIGHT = 0.01  # of a control of the largest size, where 1 rad and 1 rad/s have the weight 1
 _START_TOLERANCE = 0.01  # rad or m, between a given start and the first row of positions
@@ -67,26 +69,31 @@ def plan_of_controls(
     Raises:
         PlannerError: The file or the model cannot be used.
     """
-    header, table = _table(Path(path), part, degrees)
+    recording = _recording(Path(path), part, degrees)
+    table = recording.table
     mechanism = _readable(model)
     if mechanism.nu == 0:
         raise ModelError(f"{model} has no actuators, expected at least one that the file's columns drive.")
     motion = degrees or Path(path).suffix != ".csv"  # bags and data sets hold positions
-    actuators, joints = _columns(header[1:], mechanism, path, motion)
-    dt = _spacing(table[:, 0], path, even=not joints)
+    columns = _columns(recording, mechanism, path, motion)
+    dt = _spacing(table[:, 0], path, even=not columns.joints)
     dynamics, with_goal = RigidBodyDynamics(mechanism, dt), goal is not None
     x0 = mechanism.home.copy() if start is None else state_of("start", start, mechanism, mechanism.home)
-    if joints:
+    if columns.joints:
+        table = table[:, [0, *columns.joints.values()]]
+        joints = [mechanism.joint_names.index(name) for name in columns.joints]
         reference, xs, us, K = _tracked(dynamics, table, joints, x0 if start is not None else None)
         goal = _last(table[-1, 1:], joints, mechanism) if goal is None else goal
     else:
-        us = np.zeros((len(table), mechanism.nu))
-        us[:, actuators] = table[:, 1:]
+        if columns.states and start is None:
+            x0 = table[0, columns.states]
+        us = np.zeros((len(table) - bool(columns.states), mechanism.nu))  # at the end of a plan no control acts
+        us[:, [*columns.controls]] = table[: len(us), [*columns.controls.values()]]
         xs, K = rollout_states(dynamics, x0, us), np.zeros((len(us), mechanism.nu, dynamics.ndx))
         reference = xs
     if not np.isfinite(xs).all():
-        raise PlannerError(f"the controls of {path} lead to infinite states, expected those of this model.")
-    return _planned(dynamics, reference, xs, us, K, goal, tolerance, moving=bool(joints) and not with_goal)
+        raise PlannerError(_infinite(path, mechanism, columns))
+    return _planned(dynamics, reference, xs, us, K, goal, tolerance, moving=bool(columns.joints) and not with_goal)
 
 
 def _planned(
@@ -125,20 +132,21 @@ def _readable(model: str | Path) -> Mechanism:
         return read_model(model, ignore=KINDS, contacts="off")
 
 
-def _table(path: Path, part: str | None, degrees: bool) -> tuple[list[str], np.ndarray]:
-    """The heading and the rows of a recording."""
+def _recording(path: Path, part: str | None, degrees: bool) -> Recording:
+    """A recording with a time first, and with two rows at least."""
     what = "the controls"
-    heading, table = read_recording(path, what, part, degrees)
-    if len(heading) < 2 or heading[0] != TIME:
+    recording = read_recording(path, what, part, degrees)
+    if len(recording.heading) < 2 or recording.heading[0] != TIME:
         raise FileError(
             f"{what} {printable(path)} do not begin with time, expected a header: time, then names of actuators or "
             "joints."
         )
-    if not 2 <= len(table) <= LONGEST_HORIZON:
+    if not 2 <= len(recording.table) <= LONGEST_HORIZON:
         raise FileError(
-            f"{what} {printable(path)} have {len(table)} rows below the header, expected 2 to {LONGEST_HORIZON}."
+            f"{what} {printable(path)} have {len(recording.table)} rows below the header, expected 2 to "
+            f"{LONGEST_HORIZON}."
         )
-    return list(heading), table
+    return recording
 
 
 def _spacing(times: np.ndarray, path: str | Path, even: bool) -> float:
@@ -151,27 +159,64 @@ def _spacing(times: np.ndarray, path: str | Path, even: bool) -> float:
     return dt
 
 
-def _columns(
-    names: list[str], mechanism: Mechanism, path: str | Path, motion: bool
-) -> tuple[list[int], list[int]]:  # fmt: skip
-    """The actuators that columns drive, or the joints that they are positions of; one of the two is empty.
+class _Columns(NamedTuple):
+    """The columns that are taken: of controls, of positions, or of controls and the state in the first row."""
 
-    Of a table that is no `motion` by its kind, names of actuators are controls, as in an export: a URDF's actuators
-    have the names of its joints.
+    controls: dict[int, int]  # by actuator
+    joints: dict[str, int]  # by name
+    states: list[int]  # nx of them, or none
+
+
+def _columns(recording: Recording, mechanism: Mechanism, path: str | Path, motion: bool) -> _Columns:
+    """The columns to take of a file that holds `motion` only, or also controls.
+
+    Where all columns may be controls they are: a URDF's actuators have the names of its joints.
     """
-    actuators = {name: a for a, name in enumerate(mechanism.actuators.names) if name}
-    joints = {name: j for j, name in enumerate(mechanism.joint_names) if name}
+    names = list(recording.heading[1:])
+    units = {name: unit for name, unit in controls_of_mechanism(mechanism) if name in mechanism.actuators.names}
+    joints = [name for name in mechanism.joint_names if name]
     if len(set(names)) == len(names):
-        if not motion and all(name in actuators for name in names):
-            return [actuators[name] for name in names], []
-        stems = [name.removeprefix(POSITION) for name in names]
-        if set(stems) == set(joints):
-            return [], [joints[name] for name in stems]
-        if not actuators and len(names) == mechanism.nu:
-            return list(range(mechanism.nu)), []
+        positions = position_columns(recording, joints, units)
+        controls = {} if motion else control_columns(recording, units)
+        number_of = {name: a for a, name in enumerate(mechanism.actuators.names)}
+        by_actuator = {number_of[name]: column for name, column in controls.items()}
+        if len(controls) == len(names):
+            return _Columns(by_actuator, {}, [])
+        states = _state_columns(recording, mechanism)
+        other = set(other_columns(recording, joints, units)).difference(recording.heading[column] for column in states)
+        if not other and controls and states:
+            return _Columns(by_actuator, {}, states)
+        if not other and set(positions) == set(joints):
+            return _Columns({}, positions, [])
+        if not units and len(names) == mechanism.nu:
+            return _Columns({a: a + 1 for a in range(mechanism.nu)}, {}, [])
     raise FileError(
         f"{path} has the columns {', '.join(names)[:120]}, expected each once: actuators "
-        f"({', '.join(actuators) or 'none has a name'}), or all joints ({', '.join(joints) or 'none has a name'})."
+        f"({', '.join(units) or 'none has a name'}), or all joints ({', '.join(joints) or 'none has a name'}; "
+        f"{POSITION + 'JOINT'!r} where an actuator is called the same); of a plan `planner export --only controls` "
+        "writes them."
+    )
+
+
+def _state_columns(recording: Recording, mechanism: Mechanism) -> list[int]:
+    """The columns (nx,) of a state, as a plan's table has them; none where one is missing."""
+    taken = {name for name, _ in controls_of_mechanism(mechanism)}
+    names = names_of_states(coordinates_of_mechanism(mechanism), mechanism.space, taken)
+    if any(name not in recording.heading for name, _ in names):
+        return []
+    return [recording.heading.index(name) for name, _ in names]
+
+
+def _infinite(path: str | Path, mechanism: Mechanism, columns: _Columns) -> str:
+    """That controls lead nowhere, and how to say that they are none."""
+    names = [mechanism.actuators.names[a] for a in columns.controls]
+    shared = [name for name in names if name in mechanism.joint_names]
+    if not shared or columns.states:
+        return f"the controls of {path} lead to infinite states, expected those of this model."
+    return (
+        f"the columns {', '.join(shared)} of {path} are read as controls, since actuators have these names, and lead "
+        f"to infinite states: expected controls of this model, or for positions the heading {POSITION + shared[0]!r} "
+        "and so on, or --degrees where they are in degrees."
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
-from planner.problem.rediscretize import MAX_STAGES
+from planner.problem.problem_parts import MAX_STAGES
 
 LARGEST = 1e6  # of sizes, weights and seconds
 

@@ -122,11 +122,11 @@ def _problem(
     if plan.recipe is None:
         return None
     name, parameters = plan.recipe.name, plan.recipe.parameters
+    own = {part.removeprefix(PART): array for part, array in arrays.items() if part.startswith(PART)}
     if name == stored_problem.NAME:
-        own = {part.removeprefix(PART): array for part, array in arrays.items() if part.startswith(PART)}
         problem = stored_problem.from_arrays(parameters, own, plan.twin, residuals)
     elif name == problem_file.NAME:
-        problem = problem_file.of_table(parameters, plan.twin)
+        problem = problem_file.of_table(parameters, plan.twin, own.get("us"))
     else:
         problem = cases.build(name, **parameters)
     if problem.recipe is not None and problem.recipe.parameters != parameters:

@@ -23,6 +23,8 @@ from planner.cli.flags import (
     add,
     boolean_flag,
     choice_flag,
+    counted,
+    natural,
     number,
     value_flag,
     value_of,
@@ -32,7 +34,7 @@ from planner.cli.flags import (
 CASES: dict[str, Callable[..., Any]] = value_of("planner.cases", "CASES")
 """The cases, with their signatures and docstrings alone."""
 INTEGRATORS = value_of("planner.kernels.integrators", "INTEGRATORS")
-OBJECTIVES = value_of("planner.problem.objective", "OBJECTIVES")
+OBJECTIVES = value_of("planner.problem.problem_parts", "OBJECTIVES")
 HESSIANS, LINE_SEARCHES, UPDATES = (
     value_of("planner.solvers.options", name) for name in ("HESSIANS", "LINE_SEARCHES", "UPDATES")
 )
@@ -50,10 +52,10 @@ _SOLVER: Flags = {
     "--line-search": choice_flag(LINE_SEARCHES, "Rule that accepts a step length.", "armijo"),
     "--hessian": choice_flag(HESSIANS, "exact adds second derivatives of the dynamics (hinges, slides, hopper).",
                          "gauss-newton"),
-    "--max-iterations": value_flag("N", "Largest number of iterations of the solver.", 1000, whole),
+    "--max-iterations": value_flag("N", "Largest number of iterations of the solver.", 1000, counted),
     "--starts": value_flag("N", "Number of first guesses to try: the problem's own and smooth random changes of it; "
-                                "the best plan wins. Default: 1.", kind=whole),
-    "--seed": value_flag("N", "Seed of the random first guesses. Default: 0.", kind=whole),
+                                "the best plan wins. Default: 1.", kind=counted),
+    "--seed": value_flag("N", "Seed of the random first guesses. Default: 0.", kind=natural),
     "--rank": choice_flag(("cost", "proven-cost"), "Rank starts by cost of the plan, or of its replay in MuJoCo.",
                       "cost"),
     "--objective": value_flag("NAME", f"Minimize one of {', '.join(OBJECTIVES)}, or weights, e.g. effort=1,time=2. "

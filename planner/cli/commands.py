@@ -21,6 +21,7 @@ from planner.base.errors import PlannerError
 from planner.base.files import confined
 from planner.base.gl import fatal_error
 from planner.cli import parser
+from planner.cli.checking import check_inputs
 from planner.cli.console import Console
 
 INTERNAL = 70  # EX_SOFTWARE of sysexits.h
@@ -33,7 +34,7 @@ def command(words: list[str]) -> int:
     # A kill ends like an exception, so that hidden folders are removed.
     for kill in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(kill, lambda number, _: sys.exit(128 + number))
-    console = Console(as_json="--json" in words, quiet="--quiet" in words)
+    console = Console(as_json="--json" in words, quiet="--quiet" in words, verbose="--verbose" in words)
     with np.errstate(all="ignore"):  # a sentence says what is wrong
         return _run(words, console)
 
@@ -57,7 +58,7 @@ def _run(words: list[str], console: Console) -> int:
             parser.build(()).print_help()
             return 0
         with confined(arguments.confine):
-            parser.check_inputs(arguments)
+            check_inputs(arguments)
             code = _function(arguments.command)(arguments, console)
         if arguments.command != "warmup":
             _compile_the_rest(console, began)

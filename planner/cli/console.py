@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 import textwrap
 import time
@@ -34,22 +35,28 @@ def _escaped(one: str) -> str:
 
 
 class Console:
-    """Output of a command: text, or one JSON document at the end (`as_json`); `quiet` prints no progress.
+    """Output of a command: text, or one JSON document at the end (`as_json`).
+
+    `quiet` prints no progress; `verbose` every line of it, and tables whole.
 
     Characters that a terminal does not print are escaped here: names in a file must not move its cursor.
     """
 
-    def __init__(self, as_json: bool = False, quiet: bool = False) -> None:
-        self.as_json, self.quiet = as_json, quiet
+    def __init__(self, as_json: bool = False, quiet: bool = False, verbose: bool = False) -> None:
+        self.as_json, self.quiet, self.verbose = as_json, quiet, verbose
         self.lost = ""  # why results could not be printed
         self.live = sys.stderr is not None and sys.stderr.isatty()
         self._drawn = 0.0
+        self._passing = 0  # characters of the line on the terminal that the next one of its kind takes the place of
 
     def _print(self, text: str, *, result: bool, end: str = "\n") -> None:
         """Print, or remember why not: a closed pipe must not undo finished work."""
         stream = sys.stdout if result else sys.stderr
         if stream is None or (result and self.lost):
             return
+        if self._passing and not text.startswith("\r"):
+            self._passing = 0
+            self._print("", result=False)
         try:
             text = "".join(one if one.isprintable() or one in "\n\r\t" else _escaped(one) for one in text)
             print(text, file=stream, end=end, flush=True)
@@ -67,6 +74,18 @@ class Console:
         """Print a line about the work in progress."""
         if not self.quiet:
             self._print(text, result=False)
+
+    def write_passing(self, text: str, ended: bool = False) -> None:
+        """Print lines of progress; on a terminal the next such line takes the place of the last one, unless `ended`."""
+        if self.quiet or self.verbose or not self.live:
+            self.write_progress(text)
+            return
+        *before, last = text.split("\n")
+        for line in before:
+            self.write_progress(line)
+        last = last[: shutil.get_terminal_size().columns - 1]
+        self._print(f"\r{last:<{self._passing}}", result=False, end="\n" if ended else "")
+        self._passing = 0 if ended else len(last)
 
     def write_error(self, text: str) -> None:
         """Print an error, one sentence."""
@@ -100,10 +119,12 @@ class Console:
             self.write_result(line)
 
     def iteration(self, line: Iteration | RelaxationStep) -> None:
-        """Print a line of the table of iterations: every one on a terminal, fewer in a log; all of a relaxation."""
-        i = getattr(line, "iteration", 0)
-        if self.live or i < 10 or (i < 100 and i % 10 == 0) or i % 100 == 0:
+        """Print a line of the table of iterations: on a terminal the last one, in a log some; all of a relaxation."""
+        i = getattr(line, "iteration", None)
+        if i is None:
             self.write_progress(str(line))
+        elif self.live or self.verbose or i < 10 or (i < 100 and i % 10 == 0) or i % 100 == 0:
+            self.write_passing(str(line))
 
     def row(self, line: Start | DurationTrial | PeriodicPass) -> None:
         """Print a line of the table of starts, of durations or of passes."""
@@ -117,7 +138,6 @@ class Console:
             if self.quiet or not (ended or (self.live and now - self._drawn > 0.1)):
                 return
             self._drawn = now
-            start = "\r" if self.live else ""
-            self._print(f"{start}{work}: {done}/{total}", result=False, end="\n" if ended else "")
+            self.write_passing(f"{work}: {done}/{total}", ended)
 
         return show

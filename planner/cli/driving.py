@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from planner.base.arguments import count, number, short_repr
+from planner.base.arguments import number, short_repr
 from planner.base.data_files import write_json
 from planner.base.errors import PlannerError, RenderingUnavailable
 from planner.base.files import open_folder, remove_empty
@@ -46,9 +46,9 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
     compiled = CompiledTwin(problem.twin)
     named = [*pushes, *([] if arguments.robustness_map is None else [Push(arguments.robustness_map, 1.0, 0.0)])]
     pushed_step(compiled.model, named)  # refuses a body that there is not, before any work
-    given: dict[str, Any] = {"iterations": count("iterations", arguments.iterations)}
+    given: dict[str, Any] = {"iterations": arguments.iterations}
     if arguments.stages is not None:
-        given["horizon"] = count("stages", arguments.stages)
+        given["horizon"] = arguments.stages
     horizon_and_rate(problem, given.get("horizon"), arguments.rate)
     place = Path(arguments.out or f"renders/{name_of(arguments)}-loop")
     probe, created = open_folder(place, OUTPUTS)

@@ -11,7 +11,7 @@ import __future__
 import argparse
 import ast
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,13 @@ def _word_as(parse: Callable[[str], Any], expected: str) -> Callable[[str], Any]
     return convert
 
 
+def _whole_from(minimum: int, text: str) -> int:
+    value = int(text)
+    if value < minimum:
+        raise ValueError
+    return value
+
+
 def _width_and_height(text: str) -> tuple[int, int]:
     width, height = map(int, text.split("x"))
     return width, height
@@ -50,6 +57,7 @@ def _direction(text: str) -> str | tuple[float, float]:
 
 
 number, whole = _word_as(float, "a number"), _word_as(int, "a whole number")
+counted, natural = (_word_as(partial(_whole_from, least), f"a whole number of at least {least}") for least in (1, 0))
 size = _word_as(_width_and_height, "a size like 1280x720")
 direction = _word_as(_direction, "a camera's name, or azimuth and elevation like 90,-15")
 
@@ -72,22 +80,22 @@ def boolean_flag(text: str) -> dict[str, Any]:
 
 WORKERS: Flags = {
     "--workers": value_flag("N", "Number of processes. Default: for sweep and paper one per processor, else threads "
-                                 "of one process.", kind=whole),
+                                 "of one process.", kind=counted),
     "--scheduler": value_flag("ADDRESS", "Use the workers of a Dask scheduler, tcp://HOST:8786, or of a new cluster "
                                          "on this machine: local."),
 }  # fmt: skip
 PROOF: Flags = {
     "--rollouts": value_flag(
-        "N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, whole
+        "N", "Number of perturbed simulations, 0 for none; `run` stops them after 20 s.", 512, natural
     ),
     "--hold": value_flag(
         "S", "Also hold the goal for S seconds after the end, by an infinite-horizon LQR.", 0.0, number
     ),
 }
 ROLLOUT: Flags = {
-    "--replay-rollout": value_flag("K", "Show perturbed simulation K in detail.", kind=whole),
+    "--replay-rollout": value_flag("K", "Show perturbed simulation K in detail.", kind=natural),
     "--mode": choice_flag(("feedback", "open-loop"), "Simulate it with the plan's gains or open loop.", "feedback"),
-    "--seed": value_flag("N", "Seed of the perturbations.", 0, whole),
+    "--seed": value_flag("N", "Seed of the perturbations.", 0, natural),
     "--perturb": {"action": "append", "metavar": "NAME=X",
                   "help": "Size of a perturbation, e.g. mass=0.1 or delay=0 (docs/proof.md). May be repeated."},
 }  # fmt: skip
@@ -112,6 +120,7 @@ IMPORTS: Flags = {
 COMMON: Flags = {
     "--json": boolean_flag("Print one JSON document on stdout."),
     "--quiet": boolean_flag("Print no progress."),
+    "--verbose": boolean_flag("Print every measured number and, at a terminal, every iteration."),
     "--confine": value_flag("DIR", "Read no input outside of this folder: for models and problem files of strangers."),
 }
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import os
 import re
 from collections.abc import Callable, Container
 from functools import partial
@@ -16,9 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from planner.base.arguments import choice, short_repr
-from planner.base.data_files import check_file, read_table
 from planner.base.errors import PlannerError
-from planner.base.files import PLANS, check_confined, check_exists, read_input
 from planner.cli.console import Console
 from planner.cli.flags import (
     BUDGET,
@@ -33,12 +30,13 @@ from planner.cli.flags import (
     Flags,
     add,
     boolean_flag,
+    counted,
+    natural,
     number,
     value_flag,
     value_of,
     whole,
 )
-from planner.model.robot_collections import PREFIX
 
 SHELLS = ("bash", "zsh", "tcsh")
 """Shells that completion is written for."""
@@ -52,8 +50,8 @@ _DRIVE: Flags = {
     "--latency": value_flag("TIME", "From the measurement until the new plan acts, e.g. 4ms. Default: what its "
                                     "calls take here, rounded up."),
     "--rate": value_flag("HZ", "Plans per second. Default: one per stage, or as many as its calls allow.", kind=number),
-    "--iterations": value_flag("N", "Iterations of each plan.", 1, whole),
-    "--stages": value_flag("N", "Stages that each plan looks ahead. Default: those of the problem.", kind=whole),
+    "--iterations": value_flag("N", "Iterations of each plan.", 1, counted),
+    "--stages": value_flag("N", "Stages that each plan looks ahead. Default: those of the problem.", kind=counted),
     "--seconds": value_flag("S", "Length of the run. Default: the task's and two seconds more.", kind=number),
     "--mass-error": value_flag("X", "All bodies are heavier by this share, e.g. 0.2.", 0.0, number),
     "--joint-friction": value_flag("X", "Dry friction in each joint, as a share of its largest force.", 0.0, number),
@@ -73,7 +71,7 @@ _SWEEP: Flags = {
                   | {"dest": "along"},
     "--timeout": value_flag("S", "Longest time of one solve, s.", kind=number),
     "--prove": boolean_flag("Prove each plan."),
-    "--rollouts": value_flag("N", "Number of perturbed simulations of each proof.", 0, whole),
+    "--rollouts": value_flag("N", "Number of perturbed simulations of each proof.", 0, natural),
     "--resume": boolean_flag("Go on with the sweep in the folder: tasks without a row, tasks that lost their "
                              "worker, and, if --timeout is longer now, tasks that took too long."),
 }  # fmt: skip
@@ -98,6 +96,11 @@ class _Parser(argparse.ArgumentParser):
         return f"{text}\n{formatter.format_help()}"
 
     def error(self, message: str) -> NoReturn:
+        """Raise the message, with the choices of the arguments that it names."""
+        for action in self._actions:
+            for name in (action.option_strings or [str(action.metavar)]) if action.choices is not None else ():
+                told = f"{name} (one of: {', '.join(action.choices or ())})"
+                message = re.sub(rf"(?<![\w-]){re.escape(name)}(?![\w-])", lambda _, told=told: told, message)
         raise PlannerError(f"{message.removeprefix('argument ').rstrip('.')} (see {self.prog} --help).")
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
@@ -161,7 +164,7 @@ def _render(parser: argparse.ArgumentParser) -> None:
     add(
         parser, _PLAN,
         {"--out": value_flag("FILE", "The name of a film, .mp4 or .gif, or of a strip of poses, .png.", "video.mp4"),
-         "--fps": value_flag("N", "Frames per second.", 30, whole),
+         "--fps": value_flag("N", "Frames per second.", 30, counted),
          "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
         LOOKS, ROLLOUT, IMPORTS, COMMON,
     )  # fmt: skip
@@ -171,7 +174,7 @@ def _view(parser: argparse.ArgumentParser) -> None:
     add(
         parser,
         {"plan": {"metavar": "PLAN", "help": "A plan.npz, or a folder of planner run."},
-         "--rollouts": value_flag("N", "Number of perturbed simulations that key 7 shows.", 8, whole),
+         "--rollouts": value_flag("N", "Number of perturbed simulations that key 7 shows.", 8, natural),
          "--browser": boolean_flag("Play it in a browser instead, drag the goal there and plan again."),
          "--port": value_flag("N", "With --browser, port of this machine.", 8080, whole),
          "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)}, IMPORTS, COMMON,
@@ -296,10 +299,10 @@ def parse(argv: list[str]) -> argparse.Namespace:
         if ending.endswith(".toml"):
             argv = [argv[0], PROBLEM_FILE, *argv[1:]]
         elif ending.endswith((".xml", ".mjcf", ".urdf", ".xacro")):
-            cases = value_of("planner.cases", "CASES")
+            written = f"{Path(argv[1]).stem}.toml"
             raise PlannerError(
-                f"{argv[1]} is a model, expected a case ({', '.join(cases)}) or a {PROBLEM_FILE} that names the model "
-                f"(planner model {argv[1]} --write {Path(argv[1]).stem}.toml writes one to start from)."
+                f"{argv[1]} is a model, expected a problem file: `planner model {argv[1]} --write {written}` writes "
+                f"one, then `planner {argv[0]} {written}`."
             )
     arguments, unknown = build(argv).parse_known_args(argv)
     if not unknown:
@@ -317,35 +320,6 @@ def parse(argv: list[str]) -> argparse.Namespace:
             hint = f"{named} is a key of the file: write it in {arguments.problem}."
     kind = "flag" if word.startswith("-") else "argument"
     raise PlannerError(f"{where!r} has no {kind} {short_repr(word)}. {hint}")
-
-
-def check_inputs(arguments: argparse.Namespace) -> None:
-    """Raise PlannerError for an input that is not there, may not be read or has wrong keys, before slow imports."""
-    for name, what in (("problem", "the problem file"), ("model", "the model")):
-        path = getattr(arguments, name, None)
-        if isinstance(path, str) and path and not path.startswith(PREFIX):
-            check_confined(path, what)
-            if not os.path.exists(path):
-                read_input(path, what)  # which says why it is not there
-            if name == "problem" and arguments.command != "sweep":  # which may add keys
-                _check_problem_file(arguments)
-    for path in getattr(arguments, "paths", ()):  # of check
-        check_confined(path, "the plan")
-        check_exists(path, PLANS)
-    plan = getattr(arguments, "plan", None)
-    if isinstance(plan, str) and not os.path.exists(plan):
-        from planner.problem.archive import opened  # local: a third of a second
-
-        opened(Path(plan)).close()  # it says so, too, but for a plan within an archive of many
-
-
-def _check_problem_file(arguments: argparse.Namespace) -> None:
-    """Refuse a problem file of a machine of one's own by its keys alone."""
-    table = read_table(Path(arguments.problem))
-    if "case" not in table:
-        keys, parts = (value_of("planner.cases.problem_file.keys", name) for name in ("KEYS", "TABLES"))
-        given = {} if arguments.durations is None else {"durations": arguments.durations}
-        check_file(table | given, keys, parts, arguments.problem)
 
 
 def print_completion(arguments: argparse.Namespace, console: Console) -> int:

@@ -50,7 +50,6 @@ def view_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Play the replays of a plan, or of the plan in a folder of `planner run`, in a window or a browser."""
     from planner.view.viewer import KEYS, require_display, view
 
-    count("rollouts", arguments.rollouts, minimum=0)
     count("port", arguments.port, maximum=65535)
     if arguments.speed is not None:
         number("speed", arguments.speed, greater_than=0.0)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, count, short_repr
+from planner.base.arguments import choice, short_repr
 from planner.base.data_files import json_text
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
@@ -91,7 +91,6 @@ _PICTURES = (".png", ".svg", ".pdf")
 
 def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Replay a stored plan and judge it."""
-    count("rollouts", arguments.rollouts, minimum=0)
     if arguments.plot is not None and Path(arguments.plot).suffix not in _PICTURES:
         raise PlannerError(f"cannot draw {arguments.plot!r}: expected a name ending in {' or '.join(_PICTURES)}.")
     plan, digest = _plan_of(arguments)
@@ -129,7 +128,7 @@ def prove_plan(arguments: argparse.Namespace, console: Console) -> int:
             unfinished.write_text(json_text(found | {"plan_digest": digest}), encoding="utf-8")
     fixes = suggested_fixes(plan, proof)
     show_proof(
-        replace(proof, sections=proof.sections | sections), fixes, console
+        replace(proof, sections=proof.sections | sections), fixes, console, whole=True
     )  # shown: they are no part of the verdict
     for section in sections.values():
         for one in section.measured:
@@ -196,7 +195,7 @@ def rollout_of(plan: Plan, arguments: argparse.Namespace) -> Replay:
     perturbation = _perturbation(plan, arguments)
     if plan.twin is None:
         raise PlannerError("the plan holds no MuJoCo model, expected a plan of a Problem with a twin.")
-    number = count("replay-rollout", arguments.replay_rollout, minimum=0)
+    number = arguments.replay_rollout
     compiled, feedback = CompiledTwin(plan.twin), arguments.mode == "feedback"
     return replay_rollout(plan, compiled, number, seed=arguments.seed, perturbation=perturbation, feedback=feedback)
 

@@ -240,10 +240,10 @@ def completed(proof: Proof, rollouts: int, console: Console, *, missing: str = "
     if missing:
         return without_informative_sections(proof, missing)
     early = replace(proof, asked=proof.asked | {"rollouts": rollouts})  # robustness is not known yet
-    console.write_progress(f"\nbefore the perturbed simulations: {early.headline}\n{early.reason}")
+    console.write_progress(f"\nbefore the perturbed simulations: {early.headline}")
     console.write_progress("What is measured now does not change PASS or FAIL and is shown beside it:")
     return with_rollouts(
-        with_informative_sections(proof, console.write_progress),
+        with_informative_sections(proof, console.write_passing),
         rollouts,
         progress=console.progress("perturbed simulations"),
         **options,
@@ -260,10 +260,12 @@ def show_work(budget: WorkBudget, console: Console) -> None:
     console.write_result(f"work: {budget}" + (f"; ended by its {budget.end.name}" if budget.exhausted else ""))
 
 
-def show_proof(proof: Proof, fixes: Sequence[SuggestedFix], console: Console) -> None:
-    """Print every measured number beside its bound, then the verdict."""
+def show_proof(proof: Proof, fixes: Sequence[SuggestedFix], console: Console, whole: bool = False) -> None:
+    """Print each step of a proof by its number that is nearest to its bound, or `whole`; then the verdict."""
+    whole = whole or console.verbose
     console.write_result()
-    console.table(("step", "measured", "value", "bound", ""), proof.rows())
+    rows = proof.rows() if whole else [row for section in proof.sections.values() for row in section.judged_rows()]
+    console.table(("step", "measured" if whole else "nearest to its bound", "value", "bound", ""), rows)
     for section in proof.sections.values():
         if section.not_applicable:
             console.write_result(f"{section.title}: not applicable, {section.not_applicable}")

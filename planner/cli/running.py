@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from planner.base.arguments import count, number
+from planner.base.arguments import number
 from planner.base.data_files import finite, json_text
 from planner.base.environment import installed_versions
 from planner.base.errors import PlannerError
@@ -177,7 +177,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     """Plan, prove, plot and film a case or a problem file into a folder."""
     if arguments.out == "":
         raise PlannerError("--out is empty, expected the name of a folder.")
-    count("rollouts", arguments.rollouts, minimum=0)
     number("hold", arguments.hold, minimum=0.0)
     budget = WorkBudget(seconds=arguments.budget)  # from here on: loading takes a part of the time
     asked = asked_problem(arguments)

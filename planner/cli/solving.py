@@ -11,18 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from planner import cases
-from planner.base.arguments import count, number, short_repr
+from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
 from planner.cases.problem_file import ProblemFile, case_in, load
+from planner.cli.checking import durations_of, objective_of
 from planner.cli.console import Console
 from planner.cli.flags import PROBLEM_FILE
 from planner.kernels.numba.jit import is_warm
 from planner.kernels.precompile import KERNELS, SECOND_ORDER, compile_these, compile_together
 from planner.problem.archive import plan_name
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import checked_durations, durations_or_default, weights_of, with_objective
+from planner.problem.objective import with_objective
 from planner.problem.plan import Plan, Status
+from planner.problem.problem_parts import checked_durations, durations_or_default
 from planner.proof.diagnostics import SuggestedFix, suggested_fixes
 from planner.solvers.options import MAX_STARTS
 from planner.solvers.slq import solve
@@ -34,7 +36,6 @@ INTERRUPTED = 130  # exit code
 
 def asked_problem(arguments: argparse.Namespace) -> ProblemFile:
     """The problem of a case or a file, its number of starts, objective and durations."""
-    count("max_iterations", arguments.max_iterations)
     objective, durations = objective_of(arguments.objective), durations_of(arguments.durations)
     named = case_in(arguments.problem) if arguments.case == PROBLEM_FILE else None
     if arguments.case == PROBLEM_FILE and named is None:
@@ -43,7 +44,7 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemFile:
         return _with_durations(file)
     case, given, starts, seed = named or (arguments.case, flags_of_case(arguments), 1, 0)
     starts = starts if arguments.starts is None else count("starts", arguments.starts, maximum=MAX_STARTS)
-    seed = seed if arguments.seed is None else count("seed", arguments.seed, minimum=0)
+    seed = seed if arguments.seed is None else arguments.seed
     problem = cases.build(case, **given)
     limits = limits_of(arguments)
     if limits is not None:
@@ -85,35 +86,6 @@ def limits_of(arguments: argparse.Namespace) -> Limits | None:
         return None
     bound = None if limit is None else number("control-limit", limit, greater_than=0.0)
     return Limits(control=bound, final=EXACT if arguments.exact_goal else None)
-
-
-def objective_of(text: str | None) -> dict[str, float] | None:
-    """Weights of criteria from "time" or from "effort=1,time=2"; None stays None."""
-    if text is None:
-        return None
-    if "=" not in text:
-        return weights_of(text.strip())
-    weights: dict[str, float] = {}
-    for word in text.split(","):
-        name, _, value = word.partition("=")
-        try:
-            weights[name.strip()] = float(value)
-        except ValueError:
-            raise PlannerError(
-                f"--objective has {short_repr(word)}, expected NAME=WEIGHT, e.g. effort=1,time=2."
-            ) from None
-    return weights_of(weights)
-
-
-def durations_of(text: str | None) -> list[float] | None:
-    """The shortest and the longest duration, s, from "0.5,3"; None stays None."""
-    if text is None:
-        return None
-    try:
-        shortest, longest = map(float, text.split(","))
-    except ValueError:
-        raise PlannerError(f"--durations is {short_repr(text)}, expected SHORTEST,LONGEST in s, e.g. 0.5,3.") from None
-    return [shortest, longest]
 
 
 def name_of(arguments: argparse.Namespace) -> str:
@@ -266,7 +238,7 @@ def _swept(arguments: argparse.Namespace, out: Path, console: Console) -> int:
         done = sweep(
             Path(arguments.problem) if arguments.case == PROBLEM_FILE else arguments.case, arguments.set,
             out=out, executor=executor, workers=arguments.workers, fixed=fixed,
-            prove={"rollouts": count("rollouts", arguments.rollouts, minimum=0)} if arguments.prove else False,
+            prove={"rollouts": arguments.rollouts} if arguments.prove else False,
             continued=arguments.along, timeout=arguments.timeout, resume=arguments.resume,
             objective=objective_of(arguments.objective), durations=durations_of(arguments.durations),
             limits=limits_of(arguments), progress=console.progress(f"planning {name}"), **options,

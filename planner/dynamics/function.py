@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, count, number
+from planner.base.arguments import array, choice, count, number, numbers, short_repr
 from planner.base.errors import PlannerError
 from planner.kernels.integrators import INTEGRATORS
 
@@ -23,7 +24,7 @@ class FunctionDynamics:
     """Discrete dynamics from a plain Python function.
 
     The function may take one state, x (nx,) and u (nu,), or a batch, x (K, nx) and u (K, nu), which is much faster; a
-    trial call determines which.
+    trial call determines which, of `jacobian` too. from_jax() and from_casadi() take functions of these packages.
 
     Args:
         f: dx/dt = f(x, u), or x(n+1) = f(x, u) with integrator="discrete".
@@ -31,11 +32,12 @@ class FunctionDynamics:
         nu: Size of the control.
         dt: Length of a stage, s.
         integrator: "euler", "semi-implicit-euler" (x is positions, then as many velocities), "rk4", "discrete".
-        jacobian: (x, u) -> (df/dx (nx, nx), df/du (nx, nu)), batched if f is; central differences by default.
+        jacobian: (x, u) -> (df/dx (nx, nx), df/du (nx, nu)), of one state or a batch, whatever f is: (K, nx, nx) and
+            (K, nx, nu); central differences by default.
         coordinates: (nx,) name and unit of each state component, e.g. ("height", "m"), for reports and tolerances.
 
     Raises:
-        PlannerError: A wrong argument, or an f that does not return numbers of the right shape.
+        PlannerError: A wrong argument, or an f or jacobian that does not return numbers of the right shape.
     """
 
     def __init__(
@@ -62,14 +64,61 @@ class FunctionDynamics:
         if self.coordinates is not None and len(self.coordinates) != self.nx:
             raise PlannerError(f"coordinates has {len(self.coordinates)} entries, expected nx = {self.nx}.")
         self.batched = self._try_out()
+        self._jacobian_batched = jacobian is not None and self._takes_batch(jacobian)
+
+    @classmethod
+    def from_jax(
+        cls, f: Callable[[Any, Any], Any], nx: int, nu: int, dt: float, integrator: str = "rk4",
+        coordinates: Sequence[tuple[str, str]] | None = None,
+    ) -> FunctionDynamics:  # fmt: skip
+        """Dynamics from a function of one state that is written with jax.numpy; Jacobians are exact.
+
+        Args:
+            f: dx/dt = f(x, u) of x (nx,) and u (nu,); it is compiled, and taken to many states by jax.vmap.
+            nx: Size of the state.
+            nu: Size of the control.
+            dt: Length of a stage, s.
+            integrator: As of FunctionDynamics.
+            coordinates: As of FunctionDynamics.
+
+        Raises:
+            PlannerError: JAX is not installed or computes with 32 bits, it cannot trace f, or an argument is wrong.
+        """
+        from planner.dynamics.automatic_differentiation import jax_functions  # local: of an extra
+
+        values, jacobian = jax_functions(f, count("nx", nx), count("nu", nu))
+        return cls(values, nx, nu, dt, integrator, jacobian, coordinates)
+
+    @classmethod
+    def from_casadi(
+        cls, F: Any, dt: float, integrator: str = "rk4", coordinates: Sequence[tuple[str, str]] | None = None
+    ) -> FunctionDynamics:
+        """Dynamics from a casadi.Function; Jacobians are exact.
+
+        Args:
+            F: dx/dt = F(x, u) of columns x (nx, 1) and u (nu, 1); it is taken to many states by its map().
+            dt: Length of a stage, s.
+            integrator: As of FunctionDynamics.
+            coordinates: As of FunctionDynamics.
+
+        Raises:
+            PlannerError: CasADi is not installed, or an argument is wrong.
+        """
+        from planner.dynamics.automatic_differentiation import casadi_functions  # local: of an extra
+
+        values, jacobian, nx, nu = casadi_functions(F)
+        return cls(values, nx, nu, dt, integrator, jacobian, coordinates)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(nx {self.nx}, nu {self.nu}, {self.integrator}, dt {self.dt:g})"
 
-    def _try_out(self) -> bool:
-        # Three different states: a function of one state cannot return the batched values by coincidence.
+    def _trial_states(self) -> tuple[np.ndarray, np.ndarray]:
+        """Three different states: a function of one state cannot return the batched values by coincidence."""
         rng = np.random.default_rng(0)
-        xs, us = rng.normal(size=(3, self.nx)) * 0.1, rng.normal(size=(3, self.nu)) * 0.1
+        return rng.normal(size=(3, self.nx)) * 0.1, rng.normal(size=(3, self.nu)) * 0.1
+
+    def _try_out(self) -> bool:
+        xs, us = self._trial_states()
         values = [self._f(x.copy(), u.copy()) for x, u in zip(xs, us, strict=True)]
         single = [array("f(x, u)", value, (self.nx,), any_value=True) for value in values]
         try:
@@ -77,6 +126,41 @@ class FunctionDynamics:
         except Exception:  # a function of one state may raise anything on a batch
             return False
         return many.shape == xs.shape and np.allclose(many, single, rtol=1e-12, atol=1e-12, equal_nan=True)
+
+    def _takes_batch(self, jacobian: Jacobian) -> bool:
+        """Whether a jacobian is of a batch; one of neither a batch nor one state is refused, or its error raised."""
+        xs, us = self._trial_states()
+        many, wrong = None, None
+        try:
+            many = self._pair(jacobian(xs.copy(), us.copy()), (len(xs),), any_value=True)
+        except Exception as error:  # as of f
+            wrong = error
+        try:
+            rows = [self._pair(jacobian(x.copy(), u.copy()), any_value=True) for x, u in zip(xs, us, strict=True)]
+        except Exception as error:
+            if many is not None:
+                return True
+            raise (
+                wrong if isinstance(wrong, PlannerError) and not isinstance(error, PlannerError) else error
+            ) from None
+        single = zip(*rows, strict=True)
+        return many is not None and all(
+            np.allclose(part, one, rtol=1e-9, atol=1e-12, equal_nan=True)
+            for part, one in zip(many, single, strict=True)
+        )
+
+    def _pair(self, pair: Any, K: tuple[int, ...] = (), any_value: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """df/dx (*K, nx, nx) and df/du (*K, nx, nu); one that is the same for all states may be given once."""
+        try:
+            fx, fu = pair
+        except (TypeError, ValueError):
+            raise PlannerError(f"jacobian returns {short_repr(pair)}, expected (df/dx, df/du).") from None
+        parts = []
+        for name, part, size in (("jacobian's df/dx", fx, self.nx), ("jacobian's df/du", fu, self.nu)):
+            given, shape = numbers(name, part), (*K, self.nx, size)
+            given = np.broadcast_to(given, shape) if given.shape == shape[len(K) :] else given
+            parts.append(array(name, given, shape, any_value=any_value))
+        return parts[0], parts[1]
 
     @property
     def has_own_jacobian(self) -> bool:
@@ -101,13 +185,10 @@ class FunctionDynamics:
     def _rate_jacobians(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         nx, nu = self.nx, self.nu
         if self._jacobian is not None:
-            if self.batched:
-                fx, fu = self._jacobian(xs, us)
-            else:
-                pairs = [self._jacobian(x, u) for x, u in zip(xs, us, strict=True)]
-                fx, fu = np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
-            K = len(xs)
-            return array("jacobian's df/dx", fx, (K, nx, nx)), array("jacobian's df/du", fu, (K, nx, nu))
+            if self._jacobian_batched:
+                return self._pair(self._jacobian(xs, us), (len(xs),))
+            pairs = [self._pair(self._jacobian(x, u)) for x, u in zip(xs, us, strict=True)]
+            return np.array([fx for fx, _ in pairs]), np.array([fu for _, fu in pairs])
         z = np.concatenate([xs, us], axis=1)
         h = _DIFFERENCE * np.maximum(1.0, np.abs(z))
         perturbed = z[:, None, :] + h[:, None, :] * np.concatenate([np.eye(nx + nu), -np.eye(nx + nu)])

@@ -6,8 +6,8 @@ states at knots are bitwise equal. Without an integrator (a plan without its pro
 interpolated on the state space: x = integrate(x_n, s difference(x_n+1, x_n)), 0 <= s <= 1.
 
 Table: a row is an instant: its time, the state, the control from it on. Columns of controls have the names of
-actuators, so `planner prove --controls` reads a file of controls alone. A plan with touch-downs also has which feet
-stand when.
+actuators, so `planner prove --controls` reads a file of controls alone. In a file units follow names: "elbow [rad]". A
+plan with touch-downs also has which feet stand when.
 
 Joint trajectory: ROS 2's trajectory_msgs/JointTrajectory, as YAML or JSON; no ROS is needed. It has joints of one
 coordinate: hinges (rad) and slides (m). Free and ball joints are omitted. Accelerations and efforts are empty, as the
@@ -24,7 +24,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -42,12 +42,12 @@ from planner.model.mjcf.model_index import compile_model
 from planner.model.mjcf.prescribed_joints import in_order
 from planner.model.space import StateSpace
 from planner.model.twin import Twin
+from planner.problem.recording import POSITION, TIME
 from planner.problem.touch_downs import TouchDown, standing
 
 _ROUNDING = 1e-9  # relative distance below which a time counts as a knot
-TIME = "time"
+_TIME = Coordinate(TIME, "s")
 STANDS = "stands: "  # before a foot's name: 1 while it bears load in the plan, else 0
-POSITION = "position of "  # before a joint's name where an actuator is called the same
 PARTS = ("states", "controls")
 SUFFIXES = (".yaml", ".yml", ".json")
 MAX_KEYFRAMES = 10_000  # MuJoCo lists them all
@@ -139,7 +139,7 @@ def write_csv(plan: ExportedMotion, path: PathLike, rate: float | None = None, o
     columns, table = _table(plan, rate, only)
     with write_atomically(path) as unfinished, open(unfinished, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([TIME, *(one.name for one in columns)])
+        writer.writerow(f"{one.name} [{one.unit}]" if one.unit else one.name for one in (_TIME, *columns))
         writer.writerows(table.tolist())  # repr() of a float gives every bit back
     return Path(path)
 
@@ -190,7 +190,12 @@ def state_names(plan: ExportedMotion) -> tuple[Coordinate, ...]:
         known = tuple(Coordinate(f"x[{i}]", "") for i in range(space.ndx))
     else:
         known = coordinates_of(plan.problem.dynamics)
-    names, taken = [], {name for name, _ in control_names(plan)}
+    return names_of_states(known, space, {name for name, _ in control_names(plan)})
+
+
+def names_of_states(known: Sequence[Coordinate], space: StateSpace, taken: Collection[str]) -> tuple[Coordinate, ...]:
+    """As state_names(), of the coordinates of a space and the names that controls have taken."""
+    names: list[Coordinate] = []
     addresses = dict(space.quaternions)  # of each quaternion: its address in the deviation
     address = 0  # in the deviation
     while len(names) < space.nx:

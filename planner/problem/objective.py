@@ -11,14 +11,13 @@ because controls without effect on the motion would otherwise be undetermined.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import choice, number, short_repr
-from planner.base.errors import PlannerError
+from planner.base.arguments import number
 from planner.model.capabilities import capabilities_of
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.jerk import JerkCost, with_acceleration
@@ -26,50 +25,12 @@ from planner.problem.costs.motors import EnergyCost
 from planner.problem.costs.terms import Quadratic, SumCost, Term, call_if_supported
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
-from planner.problem.problem_parts import Objective
+from planner.problem.problem_parts import Objective, weights_of
 
-OBJECTIVES = ("effort", "energy", "jerk", "time")
 EFFORT_SHARE = 0.01
 """Weight of the effort where an objective has none: relative to the problem's own."""
 VELOCITY_SHARE = 0.01
 """Of a file's default weights of velocities, where an objective is named: without any, joints swing for little."""
-
-
-def weights_of(objective: Any) -> dict[str, float]:
-    """The weights above 0 of an objective: a name, or weights by name."""
-    if isinstance(objective, str):
-        return {choice("objective", objective, OBJECTIVES): 1.0}
-    if not isinstance(objective, Mapping):
-        expected = f"expected one of {', '.join(OBJECTIVES)}, or weights by these names"
-        raise PlannerError(f"objective is {short_repr(objective)}, {expected}.")
-    given = {choice("objective", name, OBJECTIVES): weight for name, weight in objective.items()}
-    weights = {name: number(f"the weight of {name}", weight, minimum=0.0) for name, weight in given.items()}
-    weights = {name: weights[name] for name in OBJECTIVES if weights.get(name)}
-    if not weights:
-        raise PlannerError(f"no weight of the objective is above 0, expected some of {', '.join(OBJECTIVES)}.")
-    return weights
-
-
-def durations_or_default(durations: Any, weights: Mapping[str, float], duration: float) -> Any:
-    """Durations as given; a fifth and twice the problem's own duration, s, where time is weighed and none are given."""
-    return (duration / 5.0, 2.0 * duration) if durations is None and "time" in weights else durations
-
-
-def checked_durations(durations: Any, weights: Mapping[str, float]) -> tuple[float, float] | None:
-    """Checked min and max duration, s: required by an objective with time, None and refused for any other."""
-    if "time" not in weights:
-        if durations is not None:
-            raise PlannerError(f"durations are {short_repr(durations)}, expected none without time in the objective.")
-        return None
-    pair = isinstance(durations, (Sequence, np.ndarray)) and not isinstance(durations, str) and len(durations) == 2
-    if not pair:
-        raise PlannerError(
-            f"durations is {short_repr(durations)}, expected (shortest, longest) in s, which time needs."
-        )
-    shortest, longest = (number("a duration", value, greater_than=0.0) for value in durations)
-    if not shortest < longest:
-        raise PlannerError(f"durations are {shortest:g} and {longest:g} s, expected the shortest before the longest.")
-    return shortest, longest
 
 
 class TimeCost(Term):

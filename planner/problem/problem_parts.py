@@ -1,11 +1,12 @@
 """Parts of a Problem: its Recipe, its Objective, and what of it is Periodic.
 
-A recipe says how a problem was built, so that it can be built again with another step, or from a plan's file.
+A recipe says how a problem was built, so that it can be built again with another step, or from a plan's file. Nothing
+slow is imported: what is wrong with an objective or a number of stages is said at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,6 +21,8 @@ from planner.problem.costs.terms import Cost
 PROBLEM_FILE = "problem-file"  # the name of a problem.toml's recipe, whatever its machine
 ROUNDING = 1e-14  # quaternions that are normalized twice differ by as much
 STEPS = ("newton", "follow")
+OBJECTIVES = ("effort", "energy", "jerk", "time")
+MAX_STAGES = 100_000
 
 
 class Built:
@@ -84,6 +87,55 @@ class Objective:
 
     weights: dict[str, float]
     base: Cost
+
+
+def weights_of(objective: Any) -> dict[str, float]:
+    """The weights above 0 of an objective: a name, or weights by name."""
+    if isinstance(objective, str):
+        return {choice("objective", objective, OBJECTIVES): 1.0}
+    if not isinstance(objective, Mapping):
+        expected = f"expected one of {', '.join(OBJECTIVES)}, or weights by these names"
+        raise PlannerError(f"objective is {short_repr(objective)}, {expected}.")
+    given = {choice("objective", name, OBJECTIVES): weight for name, weight in objective.items()}
+    weights = {name: number(f"the weight of {name}", weight, minimum=0.0) for name, weight in given.items()}
+    weights = {name: weights[name] for name in OBJECTIVES if weights.get(name)}
+    if not weights:
+        raise PlannerError(f"no weight of the objective is above 0, expected some of {', '.join(OBJECTIVES)}.")
+    return weights
+
+
+def durations_or_default(durations: Any, weights: Mapping[str, float], duration: float) -> Any:
+    """Durations as given; a fifth and twice the problem's own duration, s, where time is weighed and none are given."""
+    return (duration / 5.0, 2.0 * duration) if durations is None and "time" in weights else durations
+
+
+def checked_durations(durations: Any, weights: Mapping[str, float]) -> tuple[float, float] | None:
+    """Checked min and max duration, s: required by an objective with time, None and refused for any other."""
+    if "time" not in weights:
+        if durations is not None:
+            raise PlannerError(f"durations are {short_repr(durations)}, expected none without time in the objective.")
+        return None
+    pair = isinstance(durations, (Sequence, np.ndarray)) and not isinstance(durations, str) and len(durations) == 2
+    if not pair:
+        raise PlannerError(
+            f"durations is {short_repr(durations)}, expected (shortest, longest) in s, which time needs."
+        )
+    shortest, longest = (number("a duration", value, greater_than=0.0) for value in durations)
+    if not shortest < longest:
+        raise PlannerError(f"durations are {shortest:g} and {longest:g} s, expected the shortest before the longest.")
+    return shortest, longest
+
+
+def stages_of(duration: Any, dt: Any) -> tuple[float, int]:
+    """The checked dt, s, and the number of stages in a duration, s, which has to be a whole one."""
+    duration, dt = number("duration", duration, greater_than=0.0), number("dt", dt, greater_than=0.0)
+    if not duration / dt < MAX_STAGES + 0.5:
+        raise PlannerError(f"duration / dt is {duration / dt:.4g}, expected at most {MAX_STAGES} stages.")
+    N = round(duration / dt)
+    if N < 1 or abs(N * dt - duration) > 1e-9 * duration:
+        near = max(N, 1) * dt
+        raise PlannerError(f"duration is {duration:g} s, expected a whole number of stages of {dt:g} s, e.g. {near:g}.")
+    return dt, N
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
@@ -20,9 +21,18 @@ from planner.base.files import check_confined, printable, read_input, read_text
 
 MAX_ROWS = 100_000
 TIME = "time"
+POSITION = "position of "  # before a joint's name where an actuator is called the same
+_UNITS = {
+    **{name: (name, 1.0) for name in ("s", "rad", "m", "rad/s", "m/s", "N", "N m")},
+    "ms": ("s", 1e-3), "deg": ("rad", np.pi / 180.0), "°": ("rad", np.pi / 180.0), "deg/s": ("rad/s", np.pi / 180.0),
+    "cm": ("m", 1e-2), "mm": ("m", 1e-3), "mm/s": ("m/s", 1e-3), "Nm": ("N m", 1.0),
+}  # fmt: skip
+"""Units that may stand behind a name in a heading, and what they are in ours; others are a part of the name."""
+_UNIT = re.compile(rf" ?\[({'|'.join(_UNITS)})\]$")
 _TIMES = ("t", TIME)  # headings of the column of times
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _STATE, _EPISODE, _TIMESTAMP = "observation.state", "episode_index", "timestamp"  # LeRobot's columns
+_METADATA = "metadata.yaml"  # of a bag of ROS 2
 _POSITION = ".pos"  # LeRobot's ending of a motor's position
 
 
@@ -31,6 +41,11 @@ class Recording(NamedTuple):
 
     heading: tuple[str, ...]  # of all columns, that of times being TIME; empty for a CSV without
     table: np.ndarray  # (M, n); times in s, from the first row on where they are of a bag or data set
+    units: tuple[str, ...] = ()  # of the columns, as far as a heading says them; else "", or () for none
+
+    def unit(self, column: int) -> str:
+        """The unit of a column; "" where it is not said."""
+        return self.units[column] if self.units else ""
 
 
 def read_recording(path: Path, what: str, part: Any = None, degrees: bool = False) -> Recording:
@@ -40,7 +55,7 @@ def read_recording(path: Path, what: str, part: Any = None, degrees: bool = Fals
         path: `.csv`; `.bag`, `.mcap`, `.db3` or a folder: a ROS bag; `.parquet`: of a LeRobot data set.
         what: E.g. "the path to follow".
         part: Topic of a bag, or number of an episode; None where there is one alone.
-        degrees: Whether all columns but the time are degrees, to be read as rad.
+        degrees: Whether all columns but the time, and those whose headings have a unit, are degrees, to be read as rad.
 
     Raises:
         FileError: It cannot be read, or is no table of numbers.
@@ -59,24 +74,51 @@ def read_recording(path: Path, what: str, part: Any = None, degrees: bool = Fals
     if degrees and not found.heading:
         raise FileError(f"{what} {printable(path)} has no heading t,JOINT,..., expected one to know what is degrees.")
     if degrees:
-        found.table[:, [name != TIME for name in found.heading]] *= np.pi / 180.0
+        unitless = [name != TIME and not found.unit(column) for column, name in enumerate(found.heading)]
+        found.table[:, unitless] *= np.pi / 180.0
     return found
 
 
 def _read_csv(path: Path, what: str) -> Recording:
+    reader = csv.reader(io.StringIO(read_text(path, what)))
     try:
-        lines = [row for row in csv.reader(io.StringIO(read_text(path, what))) if any(map(str.strip, row))]
+        lines = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except csv.Error as error:
         raise FileError(f"{what} {printable(path)} is no CSV: {error}.") from None
-    heading = [cell.strip() for cell in lines[0]] if lines and not np.isfinite([*map(_number, lines[0])]).all() else []
-    if heading and heading[0].lower() in _TIMES:
-        heading[0] = TIME
-    rows = [[*map(_number, cells)] for cells in lines[bool(heading) :]]
-    width = len(heading or (rows[-1] if rows else ()))
-    for i, row in enumerate(rows, 1 + bool(heading)):
-        if len(row) != width or not np.isfinite(row).all():
-            raise FileError(f"row {i} of {printable(path)} has other things than {width} numbers.")
-    return Recording(tuple(heading), np.reshape(np.array(rows, dtype=float), (len(rows), width)))
+    top_row = [cell.strip() for cell in lines[0][1]] if lines else []
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if any(separator in cell for cell in top_row):
+            raise FileError(
+                f"{what} {printable(path)} has {name} between its columns, expected commas: write commas there, and "
+                "points in numbers."
+            )
+    heading = top_row if not np.isfinite([*map(_number, top_row)]).all() else []
+    names, units, factors = zip(*map(_name_and_unit, heading), strict=True) if heading else ((), (), ())
+    if names and names[0].lower() in _TIMES:
+        names = (TIME, *names[1:])
+    rows = [(line, [*map(_number, row)]) for line, row in lines[bool(heading) :]]
+    width = len(names or (rows[-1][1] if rows else ()))
+    for line, row in rows:
+        if len(row) != width:
+            raise FileError(
+                f"row {line} of {printable(path)} has {len(row)} columns, expected {width} as in "
+                f"{'the heading' if names else 'the last row'}: complete the row or delete it."
+            )
+        if not np.isfinite(row).all():
+            column = int(np.argmin(np.isfinite(row))) + 1
+            raise FileError(
+                f"row {line} of {printable(path)} has no finite number in column {column}, expected rows of numbers "
+                "with commas between them, below a heading such as t,shoulder,elbow: correct the row or delete it."
+            )
+    table = np.reshape(np.array([row for _, row in rows], dtype=float), (len(rows), width))
+    return Recording(names, table * factors if names else table, units)
+
+
+def _name_and_unit(cell: str) -> tuple[str, str, float]:
+    """A heading's name, its unit in ours, and the factor to it."""
+    if (found := _UNIT.search(cell)) is None:
+        return cell, "", 1.0
+    return cell[: found.start()], *_UNITS[found[1]]
 
 
 def _number(cell: str) -> float:
@@ -108,8 +150,11 @@ def _read_bag(path: Path, what: str, part: Any) -> Recording:
                 rows.append([position for _, position in sorted(zip(message.name, message.position, strict=True))])
     except PlannerError:
         raise
-    except Exception as error:  # rosbags' own, and those of broken files
-        raise FileError(f"{what} {printable(path)} is no ROS bag that can be read: {type(error).__name__}.") from None
+    except Exception:  # rosbags' own, and those of broken files
+        expected = "a .bag of ROS 1" if path.suffix.lower() == ".bag" else "the folder that `ros2 bag record` wrote"
+        if folder.is_dir() and not (folder / _METADATA).is_file():
+            expected += f", with its {_METADATA} beside the data (`ros2 bag reindex` writes one)"
+        raise FileError(f"{what} {printable(path)} is no ROS bag that can be read, expected {expected}.") from None
     ticks = np.array(stamps, dtype=np.int64) - stamps[0]  # whole numbers: seconds since 1970 leave floats 0.2 us
     return _timed(names or [], ticks @ [1.0, 1e-9], np.array(rows), path, what)
 
@@ -117,14 +162,15 @@ def _read_bag(path: Path, what: str, part: Any) -> Recording:
 def _read_episode(path: Path, what: str, part: Any) -> Recording:
     """The states of an episode of a LeRobot data set; its meta/info.json has their names."""
     parquet, content = _optional("pyarrow.parquet", "lerobot"), read_input(path, what)
+    expected = f"expected a data file of a LeRobot data set, with the columns {_STATE}, {_EPISODE} and {_TIMESTAMP}"
     try:
         table = parquet.read_table(io.BytesIO(content))
-        columns = {name: table[name].to_pylist() for name in (_STATE, _EPISODE, _TIMESTAMP)}
-    except (ValueError, KeyError, OSError) as error:
-        raise FileError(
-            f"{what} {printable(path)} is no LeRobot data, expected {_STATE}, {_EPISODE} and {_TIMESTAMP}: "
-            f"{type(error).__name__}."
-        ) from None
+    except (ValueError, KeyError, OSError):  # PyArrow's own are some of these
+        raise FileError(f"{what} {printable(path)} is no Parquet file that can be read, {expected}.") from None
+    names = (_STATE, _EPISODE, _TIMESTAMP)
+    if missing := [name for name in names if table.column_names.count(name) != 1]:
+        raise FileError(f"{what} {printable(path)} has no column {missing[0]}, {expected}.")
+    columns = {name: table[name].to_pylist() for name in names}
     episode = _chosen(path, what, part, dict.fromkeys(columns[_EPISODE]), "episodes")
     chosen = np.array(columns[_EPISODE]) == episode
     state, t = np.array(columns[_STATE], dtype=float)[chosen], np.array(columns[_TIMESTAMP], dtype=float)[chosen]

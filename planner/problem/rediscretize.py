@@ -34,8 +34,8 @@ from planner.problem.costs.terms import call_if_supported
 from planner.problem.objective import base_problem, with_objective
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.problem.problem_parts import MAX_STAGES
 
-MAX_STAGES = 100_000
 FINEST = "rk4"  # of explicit integrators
 UNRESOLVED = 0.05  # of a range of motion: the loosest bound of a path in a proof, so no replay of such a plan passes
 COARSE = 1.0  # the same for methods of first order, which a proof judges: an error as large as the motion itself

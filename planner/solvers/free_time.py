@@ -26,9 +26,10 @@ from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import base_problem, checked_durations, durations_or_default, weights_of, with_objective
+from planner.problem.objective import base_problem, with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.problem_parts import checked_durations, durations_or_default, weights_of
 from planner.problem.rediscretize import retimed
 from planner.solvers.gains import warm_start
 from planner.solvers.options import single_start, with_overrides

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -39,6 +40,8 @@ from planner.sweeps.stored_model import ModelState, StoredModel, stated, stated_
 
 TOLERANCE = 0.05  # relative: another release of MuJoCo or another processor changes less
 _ROUNDING = 1e-9  # smaller changes of a number without a bound are rounding
+_TWO_DIGITS = 0.1  # relative: what rounding to two digits, as in phrases, may change
+_DECIMAL = re.compile(r"\d+\.\d+(?:e[-+]?\d+)?|\d+e[-+]?\d+")  # in a phrase: whole numbers may be of names
 _OF_BOUND = 1e-3  # smaller changes relative to the bound do not count
 MAX_ROLLOUTS = 1_000_000
 _RANK = {("PASS", "open-loop"): 2, ("PASS", "feedback"): 1}
@@ -256,7 +259,7 @@ def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> I
     ranks = [_RANK.get((one["verdict"], str(one.get("mode"))), 0) for one in (stored, now)]
     if verdicts[0] != verdicts[1]:
         yield NumberChange("verdict", "", verdicts[0], verdicts[1], None, ranks[1] < ranks[0])
-    yield from _words(stored, now)
+    yield from _words(stored, now, tolerance)
     for step, section in now.items():
         before = stored.get(step)
         if not (isinstance(section, dict) and "applicable" in section and isinstance(before, dict)):
@@ -266,7 +269,7 @@ def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> I
             yield from _change(step, name, old.get(name), new.get(name), tolerance)
 
 
-def _words(stored: dict[str, Any], now: dict[str, Any]) -> Iterator[NumberChange]:
+def _words(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> Iterator[NumberChange]:
     """Changes of feasible, optimal, robustness and not checked."""
     for word in ("feasible", "optimal"):
         if isinstance(was := stored.get(word), bool) and was is not now[word]:
@@ -274,11 +277,21 @@ def _words(stored: dict[str, Any], now: dict[str, Any]) -> Iterator[NumberChange
     was, robustness = stored.get("robustness"), now["robustness"]
     if isinstance(was, str) and was != robustness:
         yield NumberChange("headline", "robustness", was, robustness, None, was == "robust")
-    unchecked = stored.get("not_checked")
-    if isinstance(unchecked, list) and unchecked != now["not_checked"]:
-        less = not set(now["not_checked"]) <= set(map(str, unchecked))
-        before, after = ("; ".join(map(str, one)) or None for one in (unchecked, now["not_checked"]))
-        yield NumberChange("headline", "not checked", before, after, None, less)
+    if not isinstance(unchecked := stored.get("not_checked"), list):
+        return
+    phrases = list(map(str, unchecked)), list(now["not_checked"])
+    gone, new = ([one for one in own if not any(_same_phrase(one, other, tolerance) for other in others)]
+                 for own, others in (phrases, phrases[::-1]))  # fmt: skip
+    if gone or new:
+        before, after = ("; ".join(one) or None for one in phrases)
+        yield NumberChange("headline", "not checked", before, after, None, bool(new))
+
+
+def _same_phrase(one: str, other: str, tolerance: float) -> bool:
+    """Whether two phrases have the same words, and decimal numbers that are equal but for a tolerance and rounding."""
+    (words, numbers), (others, values) = ((_DECIMAL.split(text), _DECIMAL.findall(text)) for text in (one, other))
+    pairs = zip(map(float, numbers), map(float, values), strict=False)
+    return words == others and all(math.isclose(a, b, rel_tol=max(tolerance, _TWO_DIGITS)) for a, b in pairs)
 
 
 def _yes(value: bool) -> str:

@@ -85,6 +85,8 @@ def test_positions_are_followed(solved, model, tmp_path):
     assert np.any(plan.K)
     proof = planner.prove(plan, rollouts=0, optimal=False)
     assert proof.passed, proof.reason
+    by_unit = write(tmp_path / "u.csv", ["shoulder [rad]", "elbow [rad]"], solved.xs[:, :2], solved.dt)
+    np.testing.assert_array_equal(plan_of_controls(by_unit, model).us, plan.us)  # no torque has this unit
     assert "no goal was asked for" not in proof.headline  # the last row is
     assert proof.goal.passed
     with pytest.raises(PlannerError, match="leave --start out"):
@@ -98,12 +100,16 @@ def test_positions_are_followed(solved, model, tmp_path):
         ("shoulder,elbow\n1,1\n1,1\n", "expected a header"),
         ("time,shoulder,elbow\n0,1,1\n", "expected 2 to"),
         ("time,shoulder,elbow\n0,1,1\n1,1,x\n", "row 3 of"),
-        ("time,shoulder,elbow\n0,1,1\n1,1\n", "other things than 3 numbers"),
+        ("time,shoulder,elbow\n0,1,1\n1,1\n", "2 columns, expected 3 as in the heading"),
+        ("time;shoulder;elbow\n0;1;1\n1;1;1\n", "semicolons between its columns, expected commas"),
+        ("1,2,3\n1,2\n", "expected 2 as in the last row"),
+        ("time,shoulder,elbow\n0,nan,1\n1,1,1\n", "no finite number in column 2"),
         ("time,shoulder,elbow\n0,1,1\n1,1,1\n3,1,1\n", "expected rows at equal times"),
         ("time,shoulder,elbow\n0,1,1\n0,1,1\n", "expected rows at equal times"),
         ("time,shoulder,wrist\n0,1,1\n1,1,1\n", "shoulder, elbow"),
         ("time,shoulder,shoulder\n0,1,1\n1,1,1\n", "each once"),
-        ("time,shoulder,elbow\n0,1e300,1\n1,1,1\n", "infinite states"),
+        ("time,shoulder,elbow\n0,1e300,1\n1,1,1\n", "read as controls, since actuators have these names"),
+        ("time,shoulder,mass\n0,1,1\n1,1,1\n", "'position of JOINT' where an actuator"),
     ],
 )
 def test_a_wrong_file_is_refused(text, words, model, tmp_path):

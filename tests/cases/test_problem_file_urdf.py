@@ -79,7 +79,7 @@ def test_packages_are_found_from_the_problem_file_and_the_command_line(folder):
 
 
 def test_a_urdf_in_place_of_a_problem_file_is_told_so():
-    with pytest.raises(PlannerError, match=r"arm\.urdf is a model, expected a case"):
+    with pytest.raises(PlannerError, match=r"arm\.urdf is a model, expected a problem file"):
         parse(["run", "arm.urdf"])
 
 

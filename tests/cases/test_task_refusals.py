@@ -97,7 +97,7 @@ def test_goals(tmp_path, tables, fragments):
         (['frame = "hand"', 'file = "none.csv"'], ("none.csv",)),
         (['frame = "hand"', 'file = "path.csv"', "points = [[0, 0, 0]]"], ("a file and points",)),
         (['file = "path.csv"'], ("has no heading t,JOINT",)),
-        (['frame = "hand"', 'file = "words.csv"'], ("row 3 of", "other things than 4 numbers")),
+        (['frame = "hand"', 'file = "words.csv"'], ("row 3 of", "no finite number in column 2")),
     ],
     ids=lambda given: str(given)[:60],
 )

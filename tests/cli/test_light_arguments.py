@@ -27,18 +27,42 @@ WRONG = [
     (["prove", "plan.npz", "--bad"], "no flag '--bad'"),
     (["prove", "plan.npz"], "plan.npz does not exist, expected a plan.npz"),
     (["view", "plan.npz", "--browser"], "plan.npz does not exist, expected a plan.npz"),
-    (["export", "plan.npz"], "--to"),
+    (["export", "plan.npz"], "arguments are required: --to (one of: csv, json, yaml, keyframes) (see"),
+    (["export", "plan.npz", "--only"], "--only (one of: states, controls): expected one argument (see"),
+    (["completion"], "arguments are required: SHELL (one of: bash, zsh, tcsh) (see"),
+    (["solve"], "arguments are required: CASE (one of: two-link, "),
+    (["run", "acrobot", "--hessian"], "--hessian (one of: gauss-newton, exact): expected one argument (see"),
     (["list", "pik"], "the machine is 'pik'"),
     (["run", "late.toml"], "duration stands in [[goal]] number 1 of late.toml"),
     (["solve", "unit.toml"], "line 1 has a unit, s, expected duration = 2:"),
     (["run", "negative.toml"], "duration is -2"),
     (["drive", "word.toml"], "Did you mean 'tolerance'?"),
+    (["run", "guess.toml"], "guess is 'lin', expected one of: auto, line, "),
+    (["run", "step.toml"], "dt is 'fast', expected a finite number greater than 0, or 'auto'."),
+    (["run", "stages.toml"], "duration is 1 s, expected a whole number of stages of 0.03 s, e.g. 0.99."),
+    (["run", "absent.toml"], "cannot read the model nowhere.xml: No such file"),
+    (["solve", "goal.toml"], "goal 2: position of a goal has shape (2,), expected (3,)."),
+    (["solve", "obstacle.toml"], "shape of an obstacle is 'bx'"),
+    (["solve", "soft.toml"], "tolerance is -1, expected a number above 0"),
+    (["solve", "right.toml", "--objective", "tme"], "Did you mean 'time'?"),
+    (["solve", "right.toml", "--starts", "0"], "--starts: '0' is not a whole number of at least 1"),
+    (["run", "acrobot", "--objective", "time", "--durations", "1"], "--durations is '1', expected SHORTEST,LONGEST"),
+    (["run", "acrobot", "--rollouts", "-1"], "--rollouts: '-1' is not a whole number of at least 0"),
 ]
+RIGHT = 'model = "here.xml"\nduration = 1\n'
 FILES = {
     "late": 'model = "arm.xml"\n[[goal]]\nframe = "hand"\nduration = 2\n',
     "unit": "duration = 2s\n",
     "negative": 'model = "arm.xml"\nduration = -2\n',
     "word": 'model = "arm.xml"\nduration = 2\ntolerence = 1\n',
+    "right": RIGHT,
+    "guess": f'{RIGHT}guess = "lin"\n',
+    "step": f'{RIGHT}dt = "fast"\n',
+    "stages": f"{RIGHT}dt = 0.03\n",
+    "absent": 'model = "nowhere.xml"\nduration = 1\n',
+    "goal": f"{RIGHT}[[goal]]\nframe = 'hand'\nposition = [0, 0, 1]\n[[goal]]\nframe = 'hand'\nposition = [0, 0]\n",
+    "obstacle": f"{RIGHT}[[obstacle]]\nshape = 'bx'\n",
+    "soft": f"{RIGHT}tolerance = -1\n",
 }
 EACH = """
 import contextlib, io, json, sys
@@ -54,6 +78,7 @@ def test_words_that_are_wrong_or_ask_for_keys_are_answered_without_mujoco_or_num
     """All in one process, whose start takes longer than an answer."""
     for name, text in FILES.items():
         (tmp_path / f"{name}.toml").write_text(text)
+    (tmp_path / "here.xml").write_text("")
     asked = {0: [(["list", "pick.toml"], "goal.tolerance")], 2: WRONG}
     sentences = {tuple(words): (code, sentence) for code, each in asked.items() for words, sentence in each}
     code = [sys.executable, "-c", EACH.format(slow=SLOW), json.dumps(list(sentences))]
@@ -89,7 +114,7 @@ def test_signatures_read_from_the_sources_are_those_of_the_cases(name):
 
 def test_constants_read_from_the_sources_are_those_of_the_modules():
     from planner.problem.export import PARTS
-    from planner.problem.objective import OBJECTIVES
+    from planner.problem.problem_parts import OBJECTIVES
     from planner.proof.engines import ENGINES
     from planner.solvers import options
 
@@ -98,7 +123,7 @@ def test_constants_read_from_the_sources_are_those_of_the_modules():
     assert (case_flags.OBJECTIVES, case_flags.DEFAULTS) == (OBJECTIVES, keys.DEFAULTS)
     for name in ("HESSIANS", "LINE_SEARCHES", "UPDATES"):
         assert getattr(case_flags, name) == getattr(options, name)
-    for name in ("KEYS", "WEIGHTS", "GOAL", "FOLLOW", "ATTACH", "OBSTACLE"):
+    for name in ("KEYS", "VALUES", "WEIGHTS", "GOAL", "FOLLOW", "ATTACH", "OBSTACLE"):
         assert value_of("planner.cases.problem_file.keys", name) == getattr(keys, name)
     assert value_of("planner.proof.engines", "ENGINES") == ENGINES
     assert value_of("planner.problem.export", "PARTS") == PARTS

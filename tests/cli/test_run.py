@@ -155,8 +155,8 @@ def test_one_rollout_is_shown(tmp_path, capsys):
         (["--perturb", "weight=1"], "--perturb is 'weight', expected one of: mass"),
         (["--perturb", "mass=x"], "--perturb mass is 'x', expected a number"),
         (["--perturb", "mass=-1"], "mass"),
-        (["--rollouts", "-1"], "rollouts is -1"),
-        (["--replay-rollout", "-1"], "replay-rollout is -1"),
+        (["--rollouts", "-1"], "--rollouts: '-1' is not a whole number"),
+        (["--replay-rollout", "-1"], "--replay-rollout: '-1' is not a whole number"),
         (["--hold", "-1"], "hold"),
         (["--mode", "closed"], "'closed'"),
     ],
@@ -186,7 +186,7 @@ def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monk
     }  # fmt: skip
     assert main([*words[command], "--rollouts", "4"]) == 0
     starts = (
-        "before the perturbed simulations: PASS (open-loop); feasible, optimal, robustness: pending\nMuJoCo repeats",
+        "before the perturbed simulations: PASS (open-loop); feasible, optimal, robustness: pending",
         "What is measured now does not change PASS",
         "the slowest rate", "contact sensitivity", "step  ",
         "PASS (open-loop); feasible, optimal, robustness: pending\n",

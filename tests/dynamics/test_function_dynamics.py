@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from planner import FunctionDynamics, PlannerError
+from planner import FunctionDynamics, PlannerError, check_derivatives
 
 CHOICES = ("euler", "semi-implicit-euler", "rk4", "discrete")
 NX, NU = 4, 2
@@ -248,23 +248,58 @@ def test_rates_that_are_no_numbers_are_refused_in_one_sentence(f):
 @pytest.mark.parametrize(
     ("jacobian", "expected"),
     [
-        (lambda x, u: (np.zeros((2, 3)), np.zeros((2, 1))), "jacobian's df/dx has shape (3, 2, 3), expected (3, 2, 2)"),
-        (lambda x, u: (np.zeros((2, 2)), np.zeros(2)), "jacobian's df/du has shape (3, 2), expected (3, 2, 1)"),
-        (lambda x, u: (np.full((2, 2), np.nan), np.zeros((2, 1))), "jacobian's df/dx[0, 0, 0] is nan"),
+        (lambda x, u: (np.zeros((2, 3)), np.zeros((2, 1))), "jacobian's df/dx has shape (2, 3), expected (2, 2)"),
+        (lambda x, u: (np.zeros((2, 2)), np.zeros(2)), "jacobian's df/du has shape (2,), expected (2, 1)"),
+        (lambda x, u: np.zeros((2, 2)), "jacobian's df/dx has shape (2,), expected (2, 2)"),
+        (lambda x, u: None, "jacobian returns None, expected (df/dx, df/du)"),
+        (lambda x, u: ("a", "b"), "jacobian's df/dx is 'a', expected numbers"),
+        (lambda x, u: (np.zeros((*x[:, :1].shape, 2)), 0), "jacobian's df/dx has shape (3, 1, 2), expected (3, 2, 2)"),
     ],
 )
 def test_wrong_jacobians_are_refused_in_one_sentence(jacobian, expected):
-    dynamics = FunctionDynamics(lambda x, u: [x[1], u[0]], 2, 1, 0.1, jacobian=jacobian)
     with pytest.raises(PlannerError) as error:
-        dynamics.linearize(np.zeros((4, 2)), np.zeros((3, 1)))
+        FunctionDynamics(lambda x, u: [x[1], u[0]], 2, 1, 0.1, jacobian=jacobian)
     assert expected in sentence(error)
 
 
-def test_a_batched_jacobian_must_be_batched():
-    dynamics = FunctionDynamics(fine, 2, 1, 0.1, jacobian=lambda x, u: (np.zeros((2, 2)), np.zeros((2, 1))))
+def test_a_jacobian_that_is_not_finite_along_the_plan_is_refused_in_one_sentence():
+    dynamics = FunctionDynamics(fine, 2, 1, 0.1, jacobian=lambda x, u: (np.full((2, 2), np.nan), np.zeros((2, 1))))
     with pytest.raises(PlannerError) as error:
         dynamics.linearize(np.zeros((4, 2)), np.zeros((3, 1)))
-    assert "expected (3, 2, 2)" in sentence(error)
+    assert "jacobian's df/dx[0, 0, 0] is nan" in sentence(error)
+
+
+@pytest.mark.parametrize("jacobian", [jacobian_one, jacobian_many])
+@pytest.mark.parametrize("f", [f_one, f_many])
+def test_a_jacobian_may_be_of_one_state_or_of_many_whatever_f_is(f, jacobian):
+    dynamics = FunctionDynamics(f, NX, NU, 0.1, jacobian=jacobian)
+    xs, us = points(0, 6)
+    A, B = dynamics.linearize(xs, us[:-1])
+    expected = FunctionDynamics(f_many, NX, NU, 0.1, jacobian=jacobian_many).linearize(xs, us[:-1])
+    np.testing.assert_allclose(A, expected[0], rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(B, expected[1], rtol=1e-13, atol=1e-13)
+    assert check_derivatives(dynamics).passed
+
+
+@pytest.mark.parametrize("K", [1, 3, 4])
+def test_a_jacobian_that_is_the_same_everywhere_may_be_given_once(K):
+    F, G = np.array([[0.0, 1.0], [-2.0, 0.0]]), np.array([[0.0], [1.0]])
+    given_ = {
+        "both": lambda x, u: (F, G), "one": lambda x, u: (np.broadcast_to(F, (*x.shape[:-1], 2, 2)), G),
+    }  # fmt: skip
+    for jacobian in given_.values():
+        dynamics = FunctionDynamics(lambda x, u: x @ F.T + u @ G.T, 2, 1, 0.1, "euler", jacobian)
+        A, B = dynamics.linearize(np.ones((K + 1, 2)), np.ones((K, 1)))
+        np.testing.assert_allclose(A, np.tile(np.eye(2) + 0.1 * F, (K, 1, 1)))
+        np.testing.assert_allclose(B, np.tile(0.1 * G, (K, 1, 1)))
+
+
+def test_the_users_own_error_in_a_jacobian_reaches_the_user():
+    def jacobian(x, u):
+        raise ZeroDivisionError("mass is zero")
+
+    with pytest.raises(ZeroDivisionError, match="mass is zero"):
+        FunctionDynamics(fine, 2, 1, 0.1, jacobian=jacobian)
 
 
 def test_a_discrete_map_has_no_parts():

@@ -94,6 +94,17 @@ def test_a_mesh_is_scaled_and_stored_and_the_plans_text_needs_no_file(tmp_path):
     np.testing.assert_allclose(vertices.min(axis=0), [0, 0, 2.0], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("name", "words"), [("crate", "without an ending is not read, expected .stl, .obj"), ("c.stl", "triangles")]
+)
+def test_a_mesh_that_is_none_is_named(name, words, tmp_path):
+    (tmp_path / name).write_text("solid\nendsolid\n", encoding="utf-8")
+    with pytest.raises(planner.ModelError, match=rf"the mesh .*{name} of 'obstacle' cannot be used: .*{words}"):
+        planner.Mechanism.from_mjcf(
+            TOUCHING, contacts="avoid", obstacles=[{"shape": "mesh", "file": str(tmp_path / name)}]
+        )
+
+
 def problem_file(folder, more="[avoid]\nself = false\nclearance = 0.02\n"):
     (folder / "arm.urdf").write_text(URDF, encoding="utf-8")
     rows = "".join(f"{key} = {value!r}\n" for key, value in POST.items())

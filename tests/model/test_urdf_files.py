@@ -67,7 +67,7 @@ def test_missing_meshes_are_left_out_and_said(tmp_path):
     path.write_text(both)
     m = Mechanism.from_urdf(path, contacts="off")
     assert [phrase for phrase in m.ignored if "mesh" in phrase][:2] == [
-        "the collision mesh 'm.ply' of link 'a' (.ply is not read)",
+        "the collision mesh 'm.ply' of link 'a' (.ply is not read, expected .stl, .obj, .dae, .glb)",
         "the collision mesh 'gone.stl' of link 'b' (there is no such file)",
     ]
     assert "1 visual mesh (e.g. 'gone.stl': there is no such file)" in m.ignored

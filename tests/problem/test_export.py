@@ -11,9 +11,11 @@ import yaml
 from rolled_out_plans import problem_of, rolled_out
 
 import planner
+from planner.base.errors import FileError
 from planner.cases.given_controls import plan_of_controls
 from planner.model.mechanism import Mechanism
 from planner.problem.export import left_out
+from planner.problem.tasks.goal import with_points
 
 FLYING = """
 <mujoco model="flying">
@@ -51,8 +53,8 @@ def read_csv(path):
 def test_a_csv_gives_every_bit_back(arm, tmp_path):
     header, table = read_csv(arm.to_csv(tmp_path / "plan.csv"))
     assert header == [
-        "time", "position of shoulder", "position of elbow", "velocity of shoulder", "velocity of elbow", "shoulder",
-        "elbow",
+        "time [s]", "position of shoulder [rad]", "position of elbow [rad]", "velocity of shoulder [rad/s]",
+        "velocity of elbow [rad/s]", "shoulder [N m]", "elbow [N m]",
     ]  # fmt: skip
     assert np.array_equal(table[:, 0], arm.t)
     assert np.array_equal(table[:, 1:5], arm.xs)
@@ -69,11 +71,41 @@ def test_a_csv_of_controls_is_a_plan_again(arm, tmp_path):
     assert np.abs(again.xs - arm.xs).max() < 1e-9
 
 
+def test_a_csv_is_a_path_to_follow_again(arm, tmp_path):
+    """Positions, where actuators have the names of joints; of all joints in the file's order, or of those named."""
+    arm.to_csv(tmp_path / "plan.csv")
+    names = ("shoulder", "elbow")
+    follow = with_points({"file": "plan.csv", "joints": ["elbow", "shoulder"]}, tmp_path, names, names)
+    assert np.array_equal(follow["points"], np.column_stack([arm.t, arm.xs[:, [1, 0]]]))
+    follow = with_points({"file": "plan.csv"}, tmp_path, names, names)
+    assert follow["joints"] == ["shoulder", "elbow"]
+    assert np.array_equal(follow["points"], np.column_stack([arm.t, arm.xs[:, :2]]))
+    arm.to_csv(tmp_path / "torques.csv", only="controls")
+    with pytest.raises(FileError, match=r"no positions of the joint 'elbow', expected a column 'position of elbow'"):
+        with_points({"file": "torques.csv", "joints": ["elbow"]}, tmp_path, names, names)
+
+
+def test_an_exported_plan_is_proved_by_its_controls_from_its_start(arm, tmp_path):
+    (tmp_path / "arm.xml").write_text(arm.problem.dynamics.mechanism.mjcf, encoding="utf-8")
+    again = plan_of_controls(arm.to_csv(tmp_path / "plan.csv"), tmp_path / "arm.xml")
+    assert np.array_equal(again.us, arm.us)
+    assert np.abs(again.xs - arm.xs).max() < 1e-9
+    states = plan_of_controls(arm.to_csv(tmp_path / "states.csv", only="states"), tmp_path / "arm.xml")
+    assert states.K.any()  # they are followed
+
+
+def test_an_exported_plan_of_a_floating_machine_is_one_too(flying, tmp_path):
+    (tmp_path / "it.xml").write_text(flying.problem.dynamics.mechanism.mjcf, encoding="utf-8")
+    again = plan_of_controls(flying.to_csv(tmp_path / "plan.csv"), tmp_path / "it.xml")
+    assert np.array_equal(again.us, flying.us)
+    assert np.array_equal(again.xs[0], flying.xs[0])
+
+
 def test_names_of_quaternions_and_of_what_has_the_name_of_an_actuator(flying, tmp_path):
     header, table = read_csv(flying.to_csv(tmp_path / "plan.csv"))
     assert header[1:13] == [
-        "base x", "base y", "base z", *(f"base quaternion {axis}" for axis in "wxyz"),
-        *(f"hip quaternion {axis}" for axis in "wxyz"), "position of knee",
+        "base x [m]", "base y [m]", "base z [m]", *(f"base quaternion {axis}" for axis in "wxyz"),
+        *(f"hip quaternion {axis}" for axis in "wxyz"), "position of knee [rad]",
     ]  # fmt: skip
     assert len(set(header)) == len(header)
     assert np.array_equal(table[:, 1 : 1 + flying.xs.shape[1]], flying.xs)

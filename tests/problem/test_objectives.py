@@ -19,12 +19,11 @@ from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jer
 from planner.problem.objective import (
     EFFORT_SHARE,
     base_problem,
-    durations_or_default,
     solver_problem,
-    weights_of,
     with_objective,
 )
 from planner.problem.problem import Problem
+from planner.problem.problem_parts import durations_or_default, weights_of
 from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq
 from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine

@@ -68,7 +68,7 @@ def write_episodes(folder, episodes=(3,), names=None):
 
 @pytest.mark.parametrize("write", [write_csv, write_bag, write_episodes])
 def test_every_kind_of_file_is_the_same_table(write, tmp_path):
-    heading, table = read_recording(write(tmp_path), "the recording")
+    heading, table, _ = read_recording(write(tmp_path), "the recording")
     assert heading == (TIME, *NAMES)
     np.testing.assert_allclose(table, np.column_stack([T, Q]), atol=1e-12)
 
@@ -84,10 +84,52 @@ def test_a_file_outside_of_the_folder_that_inputs_are_confined_to_is_refused(wri
 @pytest.mark.parametrize("write", [write_csv, write_bag, write_episodes])
 def test_a_path_to_follow_is_of_the_joints_that_are_named(write, tmp_path):
     file = write(tmp_path).relative_to(tmp_path).as_posix()
-    given = with_points({"file": file, "joints": ["wrist", "elbow"], "degrees": True}, tmp_path)
+    given = with_points({"file": file, "joints": ["wrist", "elbow"], "degrees": True}, tmp_path, NAMES)
     np.testing.assert_allclose(given.pop("points"), np.column_stack([T, np.radians(Q[:, [2, 0]])]), atol=1e-12)
     assert given == {"joints": ["wrist", "elbow"]}
-    assert with_points({"file": file}, tmp_path)["joints"] == list(NAMES)
+    assert with_points({"file": file}, tmp_path, NAMES)["joints"] == list(NAMES)
+
+
+def follow(folder, text, joints=None, actuators=("elbow", "shoulder")):
+    """The path of two joints, whose motors may have their names, from a CSV."""
+    (folder / "q.csv").write_text(text, encoding="utf-8")
+    table = {"file": "q.csv"} | ({"joints": joints} if joints else {})
+    found = with_points(table, folder, ["shoulder", "elbow"], actuators)
+    return found["joints"], found["points"]
+
+
+def test_a_path_to_follow_is_of_positions_and_not_of_controls_of_the_same_name(tmp_path):
+    both = "time,position of shoulder,position of elbow,shoulder,elbow\n0,1,2,30,40\n1,1,2,30,40\n"
+    assert follow(tmp_path, both, ["elbow", "shoulder"]) == (["elbow", "shoulder"], [[0, 2, 1], [1, 2, 1]])
+    assert follow(tmp_path, both) == (["shoulder", "elbow"], [[0, 1, 2], [1, 1, 2]])
+    positions = "time [s],position of elbow [rad],position of shoulder\n0,1,2\n1,1,2\n"
+    assert follow(tmp_path, positions) == (["elbow", "shoulder"], [[0, 1, 2], [1, 1, 2]])
+    plain = "t,elbow,shoulder [rad]\n0,1,2\n1,1,2\n"
+    assert follow(tmp_path, plain) == (["elbow", "shoulder"], [[0, 1, 2], [1, 1, 2]])
+    assert follow(tmp_path, "elbow,shoulder\n1,2\n1,3\n", ["shoulder", "elbow"])[1] == [[2, 1], [3, 1]]
+    one = "time,position of shoulder,shoulder,elbow\n0,1,30,40\n1,1,30,40\n"
+    with pytest.raises(FileError, match=r"no positions of the joint 'elbow', .*: 'elbow' may be a control"):
+        follow(tmp_path, one, ["elbow"])
+    assert follow(tmp_path, one, ["elbow"], actuators=("m",))[1] == [[0, 40], [1, 40]]
+    with pytest.raises(FileError, match="'elbow' may be a control, since its unit is that of no position"):
+        follow(tmp_path, "t,elbow [N m]\n0,1\n1,1\n", ["elbow"], actuators=())
+
+
+def test_columns_of_something_else_are_asked_about(tmp_path):
+    with pytest.raises(FileError, match=r"the column 'gripper', .*: name those to follow, joints = \[\"elbow\"\]\.$"):
+        follow(tmp_path, "t,elbow,gripper\n0,1,1\n1,1,1\n")
+    with pytest.raises(FileError, match=r"the column 'elbw', .*Did you mean 'elbow'\?$"):
+        follow(tmp_path, "t,elbw\n0,1\n1,1\n")
+    with pytest.raises(PlannerError, match=r"a joint of follow is 'wrist', expected one of: shoulder, elbow"):
+        follow(tmp_path, "t,elbow,wrist\n0,1,1\n1,1,1\n", ["wrist"])
+
+
+def test_units_of_a_heading_are_read_in_ours(tmp_path):
+    (tmp_path / "q.csv").write_text("t [ms],a [deg],b [mm],c [N m],d [left],e\n1000,180,5,2,3,180\n", encoding="utf-8")
+    found = read_recording(tmp_path / "q.csv", "the recording", degrees=True)
+    assert found.heading == (TIME, "a", "b", "c", "d [left]", "e")
+    assert found.units == ("s", "rad", "m", "N m", "", "")
+    np.testing.assert_allclose(found.table, [[1.0, np.pi, 5e-3, 2.0, np.radians(3.0), np.pi]])
 
 
 def test_one_of_several_topics_or_episodes_is_chosen(tmp_path):
@@ -109,12 +151,12 @@ def test_what_is_no_recording_is_refused_in_a_sentence(tmp_path):
     with pytest.raises(FileError, match="has no parts"):
         read_recording(csv, "the recording", part="/joint_states")
     pytest.importorskip("pyarrow")
-    with pytest.raises(FileError, match=r"is no LeRobot data, expected observation\.state"):
+    with pytest.raises(FileError, match=r"is no Parquet file that can be read, expected a data file of a LeRobot"):
         read_recording(tmp_path / "q.parquet", "the recording")
     with pytest.raises(FileError, match=r"info\.json has no names of observation\.state"):
         read_recording(write_episodes(tmp_path, names=17), "the recording")
     pytest.importorskip("rosbags")
-    with pytest.raises(FileError, match="is no ROS bag that can be read"):
+    with pytest.raises(FileError, match=r"is no ROS bag that can be read, expected the folder .*metadata\.yaml"):
         read_recording(tmp_path / "q.mcap", "the recording")
     with pytest.raises(FileError, match="positions of different joints"):
         read_recording(write_bag(tmp_path, changes=lambda i, names: names if i else ["else", *names[1:]]), "it")

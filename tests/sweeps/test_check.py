@@ -96,6 +96,24 @@ def test_words_of_the_first_line_are_compared(folder, before, regressed):
     assert moved.regressed is regressed
 
 
+SINKS = "a foot of the left leg 2 sinks 0.016 m into the ground"
+
+
+@pytest.mark.parametrize(
+    ("before", "outcome"),
+    [
+        ([SINKS], []), ([SINKS.replace("0.016", "0.0164")], []), ([SINKS.replace("0.016", "0.015")], []),
+        ([SINKS.replace("0.016", "0.03")], [True]), ([SINKS.replace("leg 2", "leg 3")], [True]), ([], [True]),
+        ([SINKS, "no goal was asked for"], [False]),
+    ],
+)  # fmt: skip
+def test_phrases_are_compared_by_their_words_and_the_values_in_them(before, outcome):
+    """A stored proof was told as changed when a digit of a phrase was another."""
+    document = {"verdict": "PASS", "mode": "feedback", "feasible": True, "optimal": True, "robustness": ""}
+    changes = regression._changes(document | {"not_checked": before}, document | {"not_checked": [SINKS]}, 0.05)
+    assert [one.regressed for one in changes] == outcome
+
+
 def test_a_plan_that_is_no_longer_optimal_is_a_regression(folder):
     """Feasible as before, with the same numbers, but the solve did not converge."""
     plan = planner.load_plan(folder / "arm" / "plan.npz")

@@ -53,8 +53,7 @@ from planner.dynamics.protocol import rollout_states
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View
 from planner.problem.costs.motors import DriveCost
 from planner.problem.problem import Problem, Requirements
-from planner.problem.problem_parts import Recipe
-from planner.problem.rediscretize import MAX_STAGES
+from planner.problem.problem_parts import MAX_STAGES, Recipe
 
 Pelvis = Literal["motion", "force"]
 

@@ -53,8 +53,8 @@ from typing import Any
 import numpy as np
 
 from planner import cases
-from planner.base.arguments import choice, count, number, short_repr
-from planner.base.data_files import check_file, problem_files, read_table
+from planner.base.arguments import choice, number, short_repr
+from planner.base.data_files import check_file, check_values, problem_files, read_table
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.constraints import constraints_of
 from planner.cases.problem_file.cycles import (
@@ -73,7 +73,7 @@ from planner.cases.problem_file.feasibility_checks import (
     check_momentum,
 )
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
-from planner.cases.problem_file.keys import KEYS, RESOLVED, TABLES
+from planner.cases.problem_file.keys import DEFAULTS, KEYS, POSES, RESOLVED, TABLES, VALUES
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.resolved_defaults import with_resolved
@@ -81,7 +81,7 @@ from planner.cases.problem_file.solving import ProblemFile
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.stops import at_rest_on_stops, off_stops
-from planner.cases.problem_file.table import checked_starts, checked_values, with_defaults, with_model_limits
+from planner.cases.problem_file.table import checked_values, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
     check_task_departure,
     cost_of,
@@ -106,11 +106,10 @@ from planner.problem.default_appearance import default_appearance, with_marks
 from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.limits import Limits
 from planner.problem.model_lint import angles_in_degrees, ranges_in_degrees
-from planner.problem.objective import durations_or_default, with_objective
+from planner.problem.objective import with_objective
 from planner.problem.problem import Problem
-from planner.problem.problem_parts import PROBLEM_FILE, Recipe
+from planner.problem.problem_parts import MAX_STAGES, PROBLEM_FILE, Recipe, durations_or_default
 from planner.problem.reaching_cost import along_gait, straight_reference, weighed
-from planner.problem.rediscretize import MAX_STAGES
 from planner.problem.tasks.cycle import Cycle
 from planner.problem.tasks.phases import free_times
 from planner.solvers.periodic_boundary import PARAMETER
@@ -142,9 +141,9 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     """
     path = Path(path)
     table = table | {name: value for name, value in instead.items() if value is not None}
-    check_file(table, KEYS, TABLES, str(path))
+    check_file(table, KEYS, TABLES, VALUES, str(path))
     table, cycles = without_cycles(table)
-    table = with_files(with_defaults(with_model_limits(table), str(path)), path.parent)
+    table = with_defaults(with_model_limits(table), str(path))
     duration = number("duration", table["duration"], greater_than=0.0)
     phases, free = free_times(table.get("phase"), duration)
     objective = table.get("objective", ())
@@ -157,7 +156,8 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
         if key in table:
             table[key] = stored_records(records(table[key]), file, path.parent)
     folders = {"package_path": folders_of(path.parent, table["package_path"])} if "package_path" in table else {}
-    problem = _problem(table, machine_of(model_location(table["model"], path.parent), table | folders, None), str(path))
+    mechanism = machine_of(model_location(table["model"], path.parent), table | folders, None)
+    problem = _problem(with_files(table, path.parent, mechanism), mechanism, str(path))
     if cycles * problem.N > MAX_STAGES:
         raise PlannerError(
             f"periodic has {cycles} cycles of {problem.N} stages, expected at most {MAX_STAGES} stages together."
@@ -183,12 +183,12 @@ def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
     if "model" in table:
         raise PlannerError(f"{path} has both a case and a model, expected one of the two.")
     given = {name: value for name, value in table.items() if name not in ("case", "starts", "seed")}
-    starts = checked_starts(table.get("starts", 1))
-    return choice("case", table["case"], cases.CASES), given, starts, count("seed", table.get("seed", 0), minimum=0)
+    own = check_values({name: table.get(name, DEFAULTS[name]) for name in ("starts", "seed")}, VALUES)
+    return choice("case", table["case"], cases.CASES), given, own["starts"], own["seed"]
 
 
-def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
-    """The problem of a stored plan, from its table and the model beside it.
+def of_table(table: dict[str, Any], twin: Twin | None, us: np.ndarray | None = None) -> Problem:
+    """The problem of a stored plan, from its table, the model beside it and its first guess (N, nu).
 
     Raises:
         PlannerError: The table or the model is missing or wrong.
@@ -197,7 +197,7 @@ def of_table(table: dict[str, Any], twin: Twin | None) -> Problem:
         raise PlannerError("its model is missing.")
     table = with_defaults({"substeps": 1} | table, "the plan", stored=True)  # older plans know of no substeps
     mechanism = replace(machine_of(twin.planned, table, twin.assets), original=twin.original)
-    return _problem(table, mechanism, "the plan")
+    return _problem(table, mechanism, "the plan", us=us)
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -225,15 +225,18 @@ def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Probl
     """
     table = {name: value for name, value in table.items() if value is not None}
     table = with_defaults(table, "the problem file", stored=True)
+    if POSES in table.get(RESOLVED, ()):
+        table[RESOLVED] = table[RESOLVED] | {POSES: None}  # what is asked for may have changed
     return _problem(table, mechanism, "the problem file", constraints)
 
 
 def _problem(
-    table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = ()
-) -> Problem:
+    table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = (),
+    us: np.ndarray | None = None,
+) -> Problem:  # fmt: skip
     """The problem of a table; what is refused says how the model was read: a joint, or its range, may be missed."""
     try:
-        return _built(table, mechanism, where, constraints)
+        return _built(table, mechanism, where, constraints, us)
     except PlannerError as error:
         left_out = _left_out(mechanism)
         read = [f"The model is read without {' and '.join(left_out)}."] if left_out else []
@@ -258,7 +261,9 @@ def _left_out(mechanism: Mechanism) -> list[str]:
     return [phrase for phrase in mechanism.ignored if phrase != "contacts"]
 
 
-def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...]) -> Problem:
+def _built(
+    table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...], us: np.ndarray | None
+) -> Problem:
     told, rebuilt = "", RESOLVED in table
     if table.get("prescribed"):
         mechanism = mechanism.without_lead_stops()
@@ -269,7 +274,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         table = {"goal": {}} | table
     for key in ("start", *(() if "follow" in table else ("goal",))):
         if key not in table:
-            wanted = states_of(mechanism)
+            wanted = states_of(mechanism, as_drawn=key != "start")
             if key == "start":
                 wanted += f": as drawn, {conflict_as_drawn(mechanism)}; `planner model FILE --write` has a start"
             more = ", or tables [[goal]] or [follow] for its frames" if key == "goal" else ""
@@ -332,7 +337,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         table = table | {"goal": [one.goal.to_dict() for one in way.task.goals]}
         passed = ", ".join(f"{way.task.goals[k].time:.3g}" for k in way.waypoints)
         reasons["goal"] = f"Via points without times are passed at {passed} s, in proportion to the way of the joints."
-    along = None if way is None else guess_of(way, dynamics, x0)
+    along = guess_of(way, dynamics, x0) if way is not None and us is None else None
     steps, cyclic, paths = steps_of(table), None, None
     if cycle is not None:
         cyclic = motion_in(table, cycle, dynamics, x0, N, limits)
@@ -372,7 +377,7 @@ def _built(table: dict[str, Any], mechanism: Mechanism, where: str, constraints:
         periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic.image, cycle),
         actual_reduction_tolerance=_gain(mechanism, cycle),
     )  # fmt: skip
-    problem = replace(problem, us=first_guess(problem, table["guess"], goal, along))
+    problem = replace(problem, us=first_guess(problem, table["guess"], goal, along) if us is None else us)
     if way is not None and wanted is not None:
         check_task_departure(x0, wanted, way.task)
         check_goal_controllable(problem, way.rows)

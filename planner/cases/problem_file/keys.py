@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from planner.cases.problem_file.reference_guess import GUESSES
+from planner.dynamics.rigid_body import MAX_SUBSTEPS
 from planner.kernels.integrators import KNOWN_INTEGRATORS
-from planner.problem.objective import OBJECTIVES
+from planner.model.mjcf.contact_mode import MODES
+from planner.problem.problem_parts import OBJECTIVES
 from planner.problem.tasks.gait import TURNS
 from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES, PATH_TOLERANCES
+from planner.solvers.options import MAX_STARTS
 
 _IMPLICIT = [name for name, one in KNOWN_INTEGRATORS.items() if one.implicit]
 KEYS = {
@@ -180,6 +184,7 @@ GROUND = {
 }
 RESOLVED = "resolved"  # in the table of a plan, not of a file: what was chosen by itself, and why
 RAMP = "ramp"  # in that table: of the ground under feet that stay, m
+POSES = "poses"  # in that table: of goals and paths, found by inverse kinematics; None to find them again
 MODEL_LIMITS = {"control": "model", "position": "model", "velocity": "model"}
 """What holds unless it is switched off: a key of it is "off", or limits itself is."""
 URDF = ("base", "floor", "package_path", "inertia")
@@ -187,6 +192,13 @@ TABLES = {
     "weights": WEIGHTS, "limits": LIMITS, "avoid": AVOID, "goal": GOAL, "follow": FOLLOW, "attach": ATTACH,
     "obstacle": OBSTACLE, "phase": PHASE, "constraint": CONSTRAINT,
 }  # fmt: skip
+VALUES: dict[str, dict[str, Any]] = {
+    "dt": {"word": "auto", "greater_than": 0.0}, "substeps": {"word": "auto", "whole": True, "maximum": MAX_SUBSTEPS},
+    "starts": {"whole": True, "maximum": MAX_STARTS}, "seed": {"whole": True, "minimum": 0},
+    "work": {"greater_than": 0.0}, "guess": {"choices": GUESSES}, "contacts": {"choices": MODES},
+    "integrator": {"choices": ("auto", *KNOWN_INTEGRATORS)}, "gait": {"choices": tuple(TURNS)},
+}  # fmt: skip
+"""Of keys whose value is one of some words (or a table) or a number: those words, or the number's bounds."""
 DEFAULTS: dict[str, Any] = {
     "dt": "auto", "integrator": "auto", "substeps": "auto", "guess": "auto", "contacts": "auto",
     "settle": "auto", "ignore": [], "starts": 1, "seed": 0, "title": "",

@@ -22,12 +22,13 @@ SOFT = 0.02  # rad or m, a goal's own tolerance: numbers and keyframes that near
 HOME = "home"  # of a model without a keyframe of that name: the pose in which its file draws it, Mechanism.home
 
 
-def states_of(mechanism: Mechanism) -> str:
-    """The forms of a start or a goal, for a message."""
+def states_of(mechanism: Mechanism, as_drawn: bool = True) -> str:
+    """The forms of a start or a goal, for a message; `as_drawn`: also the pose in which the file draws the machine."""
     nq, nv = mechanism.nq, mechanism.nv
-    keyframes = f"a keyframe ({', '.join({**mechanism.keyframes, HOME: None})}), "
+    keyframes = f"a keyframe ({', '.join(mechanism.keyframes)}), " if mechanism.keyframes else ""
+    home = f"{HOME!r} (as the file draws it), " if as_drawn and HOME not in mechanism.keyframes else ""
     joints = ", ".join(name for name in mechanism.joint_names if name) or "but no joint has a name"
-    return f"{keyframes}{nq} or {nq + nv} numbers (positions, velocities), or a table of joints ({joints})"
+    return f"{keyframes}{home}{nq} or {nq + nv} numbers (positions, velocities), or a table of joints ({joints})"
 
 
 def state_of(

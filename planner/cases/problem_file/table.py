@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from typing import Any
 
-from planner.base.arguments import choice, count, number, numbers, short_repr
-from planner.base.data_files import check_keys
+from planner.base.arguments import number, numbers, short_repr
+from planner.base.data_files import check_keys, check_values
 from planner.base.errors import PlannerError
-from planner.cases.problem_file.keys import AVOID, DEFAULTS, KEYS, LIMITS, MODEL_LIMITS, RAMP, RESOLVED, WEIGHTS
-from planner.cases.problem_file.reference_guess import GUESSES
-from planner.dynamics.rigid_body import MAX_SUBSTEPS
+from planner.cases.problem_file.keys import (
+    AVOID,
+    DEFAULTS,
+    KEYS,
+    LIMITS,
+    MODEL_LIMITS,
+    POSES,
+    RAMP,
+    RESOLVED,
+    VALUES,
+    WEIGHTS,
+)
 from planner.problem.costs.terms import checked_tolerance, stored_tolerance
 from planner.problem.joint_limits import OFF
 from planner.problem.limits import Limits
-from planner.problem.objective import checked_durations, weights_of
-from planner.problem.rediscretize import MAX_STAGES
-from planner.solvers.options import MAX_STARTS
+from planner.problem.problem_parts import checked_durations, stages_of, weights_of
 from planner.solvers.periodic_boundary import PARAMETER
 from planner.solvers.waypoints import WAYPOINTS
 
@@ -26,9 +33,8 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
     A plan's own table, `stored`, holds beside the keys of a file what was chosen by itself.
     """
     check_keys(table, (*KEYS, RESOLVED, PARAMETER) if stored else KEYS, where)
-    for name, keys in (
-        ("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, ("weights", "reasons", WAYPOINTS, RAMP)),
-    ):  # fmt: skip
+    resolved = ("weights", "reasons", WAYPOINTS, RAMP, POSES)
+    for name, keys in (("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, resolved)):
         part = table.get(name, {})
         if not isinstance(part, dict):
             raise PlannerError(
@@ -75,16 +81,10 @@ def with_model_limits(table: dict[str, Any]) -> dict[str, Any]:
 
 def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
     """The table with its numbers, names, limits and objective checked, and the number of stages."""
-    dt, N = _stages(table["duration"], table["dt"])
-    table = table | {
-        "duration": float(table["duration"]), "dt": dt, "starts": checked_starts(table["starts"]),
-        "seed": count("seed", table["seed"], minimum=0),
-        "tolerance": stored_tolerance(checked_tolerance(table.get("tolerance"))),
-        "substeps": _substeps(table["substeps"]),
-        "guess": choice("guess", table["guess"], GUESSES),
-    }  # fmt: skip
-    if "work" in table:
-        table["work"] = number("work", table["work"], greater_than=0.0)
+    dt, N = stages_of(table["duration"], table["dt"])
+    table = table | check_values(table, VALUES)
+    table |= {"duration": float(table["duration"]), "dt": dt}
+    table["tolerance"] = stored_tolerance(checked_tolerance(table.get("tolerance")))
     if not isinstance(table["title"], str):
         raise PlannerError(f"title is {short_repr(table['title'])}, expected a text.")
     if table.get("limits"):
@@ -94,23 +94,3 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
     if "durations" in table:
         table["durations"] = list(checked_durations(table["durations"], table.get("objective", {})) or ())
     return table, N
-
-
-def _substeps(value: Any) -> int | str:
-    return value if value == "auto" else count('substeps, unless "auto",', value, maximum=MAX_SUBSTEPS)
-
-
-def checked_starts(starts: Any) -> int:
-    """A number of first guesses."""
-    return count("starts", starts, maximum=MAX_STARTS)
-
-
-def _stages(duration: Any, dt: Any) -> tuple[float, int]:
-    duration, dt = number("duration", duration, greater_than=0.0), number("dt", dt, greater_than=0.0)
-    if not duration / dt < MAX_STAGES + 0.5:
-        raise PlannerError(f"duration / dt is {duration / dt:.4g}, expected at most {MAX_STAGES} stages.")
-    N = round(duration / dt)
-    if N < 1 or abs(N * dt - duration) > 1e-9 * duration:
-        near = max(N, 1) * dt
-        raise PlannerError(f"duration is {duration:g} s, expected a whole number of stages of {dt:g} s, e.g. {near:g}.")
-    return dt, N

@@ -12,7 +12,7 @@ import numpy as np
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.ground_placement import whole_poses_on_ground
-from planner.cases.problem_file.keys import GOAL, RESOLVED
+from planner.cases.problem_file.keys import GOAL, POSES, RESOLVED
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import feet_move, rolling_dofs
@@ -37,7 +37,7 @@ from planner.problem.tasks.flight import check_flight
 from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, with_points
 from planner.problem.tasks.pose_constraints import PoseConstraints
-from planner.problem.tasks.poses import Poses, is_screws, poses_of
+from planner.problem.tasks.poses import Poses, is_screws, poses_of, stored_poses
 from planner.problem.tasks.reference_motion import (
     closed_chain_reference,
     controls,
@@ -100,14 +100,17 @@ def with_tasks(table: dict[str, Any], mechanism: Mechanism) -> dict[str, Any]:
     return table
 
 
-def with_files(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The table of a file with the rows of the CSV files that its paths name."""
+def with_files(table: dict[str, Any], folder: Path, mechanism: Mechanism) -> dict[str, Any]:
+    """The table of a file with the rows of the recordings that its paths name."""
     given = table.get("follow")
+    joints, actuators = (
+        [name for name in names if name] for names in (mechanism.joint_names, mechanism.actuators.names)
+    )
+    read = partial(with_points, folder=folder, joints=joints, actuators=actuators)
     if isinstance(given, dict):
-        return table | {"follow": with_points(given, folder)}
+        return table | {"follow": read(given)}
     if isinstance(given, list):
-        paths = [with_points(path, folder) if isinstance(path, dict) else path for path in given]
-        return table | {"follow": paths}
+        return table | {"follow": [read(path) if isinstance(path, dict) else path for path in given]}
     return table
 
 
@@ -115,7 +118,7 @@ def resolve_task(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, limits: Limits | None,
     avoid: Avoid | None = None, constraints: Sequence[Constraint] = (),
 ) -> ResolvedTask:  # fmt: skip
-    """The task of a table and its poses; those of a stored plan are not refused again.
+    """The task of a table and its poses; those of a stored plan are not refused again, nor sought if it has them.
 
     Raises:
         PlannerError: What cannot be meant, or not be reached, or only in collision or against a constraint.
@@ -143,14 +146,16 @@ def resolve_task(
         goals = dated_by_way(evenly, waypoints, poses_for(evenly, dynamics, x0, ranges))
     task = task_from(goals)
     search = partial(poses_for, task, dynamics, x0, ranges)
+    stored = table.get(RESOLVED, {}).get(POSES)
+    poses, apart = None if stored is None else stored_poses(stored, task), None
     if avoid is None:
-        poses, apart = search(), None
+        poses = poses or search()
     else:
         free = partial(CollisionChecker, mechanism=dynamics.mechanism)
-        poses = search(checker=free(avoid.constraint(dynamics.mechanism, x0).constraint.of))
-        apart = avoid.constraint(dynamics.mechanism, x0, _of_goals(task, poses))  # they are known now
-        if not _is_direct(task) and is_screws(task):
-            poses = with_via_poses(poses, free(apart.constraint.of), table["seed"])
+        found = poses or search(checker=free(avoid.constraint(dynamics.mechanism, x0).constraint.of))
+        apart = avoid.constraint(dynamics.mechanism, x0, _of_goals(task, found))  # they are known now
+        through = poses is None and not _is_direct(task) and is_screws(task)
+        poses = with_via_poses(found, free(apart.constraint.of), table["seed"]) if through else found
     if RESOLVED not in table:
         check_flight(task, poses, dynamics, ranges)
     stands = steps is not None or _stands_all_along(table, task, poses)

@@ -24,6 +24,7 @@ import numpy as np
 
 from planner.base.arguments import array, choice, did_you_mean, numbers, quaternion, short_repr
 from planner.base.errors import ModelError, PlannerError
+from planner.base.files import printable
 from planner.model.mjcf.attached import attachments, records_of, with_attached
 from planner.model.mjcf.model_file import ModelFile
 from planner.model.mjcf.model_index import NEVER_REPLAYED, ModelIndex, compile_model
@@ -144,7 +145,7 @@ def with_obstacles(file: ModelFile, given: Sequence[Obstacle]) -> ModelFile:
         attributes["pos"] = written(*array("position", one.position, (3,)))
         attributes["quat"] = written(*quaternion("orientation", one.orientation))
         if one.shape == "mesh":
-            files[stored] = stl(hull(mesh_triangles(Path(str(one.file))) * one.scales))
+            files[stored] = _hull_of(one)
             attributes["mesh"] = one.name
             SubElement(assets, "mesh", {"name": one.name, "file": stored, "scale": "1 1 1", "inertia": "shell"})
         else:
@@ -152,6 +153,16 @@ def with_obstacles(file: ModelFile, given: Sequence[Obstacle]) -> ModelFile:
         SubElement(world, "geom", attributes)
     survey = ModelIndex(compile_model(root, files, file.name))
     return file._replace(root=root, files=files, survey=survey, is_compiled=True)
+
+
+def _hull_of(obstacle: Obstacle) -> bytes:
+    """The STL of a mesh's convex hull."""
+    path = Path(str(obstacle.file))
+    try:
+        return stl(hull(mesh_triangles(path) * obstacle.scales))
+    except ModelError as error:
+        why = str(error).rstrip(".")
+        raise ModelError(f"the mesh {printable(path)} of {obstacle.name!r} cannot be used: {why}.") from None
 
 
 BodyPair = tuple[str, str]

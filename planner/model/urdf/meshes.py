@@ -215,7 +215,7 @@ def mesh_triangles(path: Path) -> np.ndarray:
     readers = {".stl": stl_triangles, ".obj": obj_triangles, ".dae": collada_triangles, ".glb": glb_triangles}
     ending = path.suffix.lower()
     if ending not in readers:
-        raise ModelError(f"{ending or 'a file without an ending'} is not read")
+        raise ModelError(f"{ending or 'a file without an ending'} is not read, expected {', '.join(readers)}")
     triangles = readers[ending](read_input(path, "the mesh", raises=ModelError))
     if not len(triangles) or not np.all(np.isfinite(triangles)):
         raise ModelError("it has no triangles of finite size")

@@ -8,17 +8,19 @@ Follow(frame="hand", points=[[0, 0.4, 0, 0.3], [1, 0.4, 0.1, 0.3]])       straig
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, number, numbers, quaternion, short_repr, unit_vector
+from planner.base.arguments import array, choice, did_you_mean, number, numbers, quaternion, short_repr, unit_vector
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable
-from planner.problem.recording import TIME, read_recording
+from planner.problem.recorded_columns import missing_position, other_columns, position_columns
+from planner.problem.recording import TIME, Recording, read_recording
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 PARTS = ("position", "orientation", "pointing", "velocity")
@@ -201,9 +203,7 @@ class Follow:
 
     def __post_init__(self) -> None:
         _check_subject("follow", self.frame, self.joints)
-        if self.joints is not None and (
-            not isinstance(self.joints, (list, tuple)) or not all(isinstance(name, str) for name in self.joints)
-        ):
+        if self.joints is not None and not _are_names(self.joints):
             raise PlannerError(f"joints of follow is {short_repr(self.joints)}, expected a list of names of joints.")
         if self.tolerance is not None:
             number("tolerance of follow", self.tolerance, greater_than=0.0)
@@ -259,6 +259,10 @@ def _json_value(value: Any) -> Any:
     )
 
 
+def _are_names(value: Any) -> bool:
+    return isinstance(value, (list, tuple)) and all(isinstance(name, str) for name in value)
+
+
 def follow_of(value: Any, name: str) -> Follow:
     """A Follow from one, or from a table.
 
@@ -273,14 +277,16 @@ def follow_of(value: Any, name: str) -> Follow:
     return Follow(**given)
 
 
-def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def with_points(
+    table: Mapping[str, Any], folder: Path, joints: Collection[str], actuators: Collection[str] = ()
+) -> dict[str, Any]:
     """The table with its `file`, a recording relative to a folder, replaced by the points in it.
 
-    A heading t,x,y,z may be left out for a frame; for joints it has their names. `part` and `degrees` are those of
-    read_recording().
+    A heading t,x,y,z may be left out for a frame; for joints it has their names, of the machine's `joints` and not its
+    `actuators`. `part` and `degrees` are those of read_recording().
 
     Raises:
-        FileError: It cannot be read, or is no table of numbers.
+        FileError: It cannot be read, is no table of numbers, or has no positions of the joints.
         PlannerError: It has a file and points.
     """
     if "file" not in table:
@@ -292,16 +298,43 @@ def with_points(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     path = folder / table["file"]
     if not isinstance(degrees := table.get("degrees", False), bool):
         raise PlannerError(f"degrees of follow is {short_repr(degrees)}, expected true or false.")
-    heading, rows = read_recording(path, "the path to follow", table.get("part"), degrees)
-    joints = table.get("joints")
+    recording = read_recording(path, "the path to follow", table.get("part"), degrees)
+    heading, rows, named = recording.heading, recording.table, table.get("joints")
     rest = {key: value for key, value in table.items() if key not in _OF_A_FILE}
-    if table.get("frame") is None and joints is None:
-        if not heading or heading[0] != TIME or len(heading) < 2:
+    if table.get("frame") is not None:
+        if heading and heading not in ((TIME, *COORDINATES), COORDINATES):
+            raise FileError(
+                f"{printable(path)} has another heading than t,x,y,z, expected it for a frame, or joints = [...] in "
+                "[follow] in place of frame."
+            )
+    elif named is None:
+        if len(heading) < 2 or heading[0] != TIME:
             expected = 'expected one, or frame = "..." in [follow]'
             raise FileError(f"{printable(path)} has no heading t,JOINT,..., {expected}.")
-        rest["joints"] = list(heading[1:])
-    elif heading and table.get("frame") is not None and heading not in ((TIME, *COORDINATES), COORDINATES):
-        raise FileError(f"{printable(path)} has another heading than t,x,y,z.")
-    elif isinstance(joints, list) and heading[:1] == (TIME,) and all(name in heading for name in joints):
-        rows = rows[:, [0, *map(heading.index, joints)]]
+        rest["joints"] = _recorded_joints(recording, path, joints, actuators)
+    named = rest.get("joints")
+    if heading and isinstance(named, (list, tuple)) and _are_names(named):
+        found = position_columns(recording, joints, actuators)
+        for joint in named:
+            if choice("a joint of follow", joint, joints) not in found:
+                expected = missing_position(recording, joint, actuators)
+                raise FileError(f"{printable(path)} has no positions of the joint {joint!r}, {expected}.")
+        rows = rows[:, [*([0] if heading[0] == TIME else []), *(found[joint] for joint in named)]]
     return {**rest, "points": rows.tolist()}
+
+
+def _recorded_joints(
+    recording: Recording, path: Path, joints: Collection[str], actuators: Collection[str]
+) -> list[str]:
+    """The joints whose positions a recording has, unless it has columns of something unknown."""
+    found = list(position_columns(recording, joints, actuators))
+    if other := other_columns(recording, joints, actuators):
+        advice = f": name those to follow, joints = {json.dumps(found, ensure_ascii=False)}" if found else ""
+        raise FileError(
+            f"{printable(path)} has the column {short_repr(other[0])}, expected joints of the model "
+            f"({', '.join(joints)}){advice}.{did_you_mean(other[0], joints) if not found else ''}"
+        )
+    if not found:
+        joint = next((name for name in recording.heading if name in joints), next(iter(joints), "JOINT"))
+        raise FileError(f"{printable(path)} has no positions, {missing_position(recording, joint, actuators)}.")
+    return found

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from planner.base.arguments import array
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.assembly import assembled
@@ -35,6 +36,10 @@ class Poses(NamedTuple):
     stages: np.ndarray  # (E,)
     q: np.ndarray  # (E, nq)
     at_rest: np.ndarray  # (E,) bool
+
+    def to_dict(self) -> dict[str, list[Any]]:
+        """As JSON values."""
+        return {name: values.tolist() for name, values in self._asdict().items()}
 
 
 class _Search(NamedTuple):
@@ -113,6 +118,19 @@ def poses_of(
     if stages[-1] < task.N:  # no goal at the end but rest
         stages, found, at_rest = [*stages, task.N], [*found, q], [*at_rest, task.rests]
     return Poses(np.array(stages), np.array(found), np.array(at_rest))
+
+
+def stored_poses(record: dict[str, Any], task: Task) -> Poses:
+    """The poses of a task that Poses.to_dict() wrote.
+
+    Raises:
+        PlannerError: They are not of this task.
+    """
+    stages, at_rest = np.array(record["stages"], dtype=int), np.array(record["at_rest"], dtype=bool)
+    q = array("q of the plan's poses", record["q"], (len(stages), task.mechanism.nq))
+    if stages[[0, -1]].tolist() != [0, task.N] or np.any(np.diff(stages) < 1) or at_rest.shape != stages.shape:
+        raise PlannerError(f"the plan's poses are not at stages that rise from 0 to {task.N}.")
+    return Poses(stages, q, at_rest)
 
 
 def _check_joints(task: Task, here: Sequence[TimedGoal], ranges: np.ndarray) -> None:
