@@ -126,7 +126,7 @@ def _problem(
     if name == stored_problem.NAME:
         problem = stored_problem.from_arrays(parameters, own, plan.twin, residuals)
     elif name == problem_file.NAME:
-        problem = problem_file.of_table(parameters, plan.twin, own.get("us"))
+        problem = problem_file.of_table(parameters, plan.twin, own)
     else:
         problem = cases.build(name, **parameters)
     if problem.recipe is not None and problem.recipe.parameters != parameters:

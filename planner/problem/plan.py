@@ -290,8 +290,8 @@ class Plan(Built, Plottable):
         recipe, parts = self.recipe, {}
         if recipe is None and self.problem is not None:
             recipe, parts = to_arrays(base_problem(self.problem)) or (None, {})
-        elif self.problem is not None and self.case == PROBLEM_FILE:  # whose first guess may take long to find
-            parts = {"us": self.problem.first_guess}
+        elif recipe is not None and self.problem is not None and self.case == PROBLEM_FILE:
+            parts = {"us": self.problem.first_guess, **recipe.found}
         objective = None if self.problem is None else self.problem.objective
         files = {} if self.twin is None else self.twin.assets
         names = {name: digest_of(content) for name, content in files.items()}

@@ -49,6 +49,8 @@ class Recipe:
     parameters: dict[str, Any]  # Every argument by name, as JSON values
     # (**parameters) -> Problem; None in a plan whose problem was not built again.
     build: Callable[..., Any] | None = field(default=None, compare=False, repr=False)
+    # Arrays that were sought when it was built, by name: a plan's file has them, so that loading it seeks none.
+    found: Mapping[str, np.ndarray] = field(default_factory=dict, compare=False, repr=False)
     _parts: tuple[Any, ...] = field(default=(), compare=False, repr=False)  # of the problem that was built
 
     def of(
@@ -73,7 +75,7 @@ class Recipe:
 
     def changed(self, **changes: Any) -> Recipe:
         """The recipe of the problem that is built with some arguments changed, where it is made without building it."""
-        return replace(self, parameters=self.parameters | changes, _parts=())
+        return replace(self, parameters=self.parameters | changes, found={}, _parts=())
 
 
 @dataclass(frozen=True, eq=False)

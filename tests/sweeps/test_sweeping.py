@@ -259,7 +259,9 @@ def test_the_command_refuses_what_does_not_exist(tmp_path):
     refused(
         run("sweep", "hopper", "--set", "height=1", "--continuation", "mass", cwd=tmp_path), "expected one of: height"
     )
-    refused(run("sweep", "hopper", "--set", "height=1", "--starts", 0, cwd=tmp_path), "--starts: '0' is not a whole number")
+    refused(
+        run("sweep", "hopper", "--set", "height=1", "--starts", 0, cwd=tmp_path), "--starts: '0' is not a whole number"
+    )
     refused(run("sweep", "hopper", "--set", "height=1:2", cwd=tmp_path), "START:STOP:COUNT")
     refused(run("sweep", "hopper", "--set", "height=", cwd=tmp_path), "no part of a grid")
     assert list(tmp_path.iterdir()) == []

@@ -45,6 +45,7 @@ In place of a machine of one's own the file may name a case of the package, with
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -73,7 +74,7 @@ from planner.cases.problem_file.feasibility_checks import (
     check_momentum,
 )
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
-from planner.cases.problem_file.keys import DEFAULTS, KEYS, POSES, RESOLVED, TABLES, VALUES
+from planner.cases.problem_file.keys import DEFAULTS, KEYS, RESOLVED, TABLES, VALUES
 from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.resolved_defaults import with_resolved
@@ -187,8 +188,8 @@ def case_in(path: str | Path) -> tuple[str, dict[str, Any], int, int] | None:
     return choice("case", table["case"], cases.CASES), given, own["starts"], own["seed"]
 
 
-def of_table(table: dict[str, Any], twin: Twin | None, us: np.ndarray | None = None) -> Problem:
-    """The problem of a stored plan, from its table, the model beside it and its first guess (N, nu).
+def of_table(table: dict[str, Any], twin: Twin | None, found: Mapping[str, np.ndarray] | None = None) -> Problem:
+    """The problem of a stored plan, from its table, the model beside it and what was `found`: first guess and poses.
 
     Raises:
         PlannerError: The table or the model is missing or wrong.
@@ -197,7 +198,7 @@ def of_table(table: dict[str, Any], twin: Twin | None, us: np.ndarray | None = N
         raise PlannerError("its model is missing.")
     table = with_defaults({"substeps": 1} | table, "the plan", stored=True)  # older plans know of no substeps
     mechanism = replace(machine_of(twin.planned, table, twin.assets), original=twin.original)
-    return _problem(table, mechanism, "the plan", us=us)
+    return _problem(table, mechanism, "the plan", found=found)
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -225,18 +226,16 @@ def again(mechanism: Mechanism, *constraints: Constraint, **table: Any) -> Probl
     """
     table = {name: value for name, value in table.items() if value is not None}
     table = with_defaults(table, "the problem file", stored=True)
-    if POSES in table.get(RESOLVED, ()):
-        table[RESOLVED] = table[RESOLVED] | {POSES: None}  # what is asked for may have changed
     return _problem(table, mechanism, "the problem file", constraints)
 
 
 def _problem(
     table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...] = (),
-    us: np.ndarray | None = None,
+    found: Mapping[str, np.ndarray] | None = None,
 ) -> Problem:  # fmt: skip
     """The problem of a table; what is refused says how the model was read: a joint, or its range, may be missed."""
     try:
-        return _built(table, mechanism, where, constraints, us)
+        return _built(table, mechanism, where, constraints, found)
     except PlannerError as error:
         left_out = _left_out(mechanism)
         read = [f"The model is read without {' and '.join(left_out)}."] if left_out else []
@@ -262,8 +261,9 @@ def _left_out(mechanism: Mechanism) -> list[str]:
 
 
 def _built(
-    table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...], us: np.ndarray | None
-) -> Problem:
+    table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...],
+    found: Mapping[str, np.ndarray] | None,
+) -> Problem:  # fmt: skip
     told, rebuilt = "", RESOLVED in table
     if table.get("prescribed"):
         mechanism = mechanism.without_lead_stops()
@@ -326,7 +326,9 @@ def _built(
     asked = constraints_of(table.get("constraint", []))
     if tasked and limits is not None:
         limits.check_start(dynamics, x0)
-    way = resolve_task(table, dynamics, x0, N, limits, avoid, (*asked, *constraints)) if tasked else None
+    way, us, poses = None, *((found or {}).get(name) for name in ("us", "poses"))
+    if tasked:
+        way = resolve_task(table, dynamics, x0, N, limits, avoid, (*asked, *constraints), poses)
     apart = way.apart if way is not None else None if avoid is None else avoid.constraint(mechanism, x0, goal)
     if apart is not None:
         told, *details = apart.notes
@@ -369,7 +371,7 @@ def _built(
     appearance = default_appearance(mechanism, prescribed)
     appearance = with_marks(appearance, None if way is None else way.task, kept)
     problem = Problem(
-        dynamics, cost, x0, recipe=Recipe(NAME, table, build),
+        dynamics, cost, x0, recipe=Recipe(NAME, table, build, {} if way is None else {"poses": way.poses.table}),
         appearance=replace(appearance, title=table["title"] or appearance.title),
         limits=limits, constraints=kept, goal_specs=wanted if cyclic is None else (),
         tolerance=None if tasked else table["tolerance"] or {},  # by default those of all goals, as stated ones

@@ -184,7 +184,6 @@ GROUND = {
 }
 RESOLVED = "resolved"  # in the table of a plan, not of a file: what was chosen by itself, and why
 RAMP = "ramp"  # in that table: of the ground under feet that stay, m
-POSES = "poses"  # in that table: of goals and paths, found by inverse kinematics; None to find them again
 MODEL_LIMITS = {"control": "model", "position": "model", "velocity": "model"}
 """What holds unless it is switched off: a key of it is "off", or limits itself is."""
 URDF = ("base", "floor", "package_path", "inertia")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.cases.problem_file.keys import POSES, RAMP, RESOLVED
+from planner.cases.problem_file.keys import RAMP, RESOLVED
 from planner.cases.problem_file.states import carried_along
 from planner.cases.problem_file.tasks import ResolvedTask, walking_weights, weights_of
 from planner.dynamics import RigidBodyDynamics
@@ -20,13 +20,12 @@ def with_resolved(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
     way: ResolvedTask | None, limits: Limits | None, paths: np.ndarray | None, ramp: float | None,
 ) -> dict[str, Any]:  # fmt: skip
-    """The table with what was chosen by itself: weights, their reasons, poses. A stored plan has them already.
+    """The table with what was chosen by itself: weights and their reasons. A stored plan has them already.
 
     `paths`: (nv,) rad or m, the way of each degree of freedom where feet step and no task says more; else None.
     """
-    poses = {} if way is None else {POSES: way.poses.to_dict()}
-    if RESOLVED in table:  # plans of older versions lack poses
-        return table | {RESOLVED: table[RESOLVED] | (poses if POSES in table[RESOLVED] else {})}
+    if RESOLVED in table:
+        return table
     given = table["weights"]
     if way is not None:
         default = weights_of(table, dynamics, x0, way, limits)
@@ -41,7 +40,7 @@ def with_resolved(
     reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
     waypoints = {} if way is None or not way.waypoints else {WAYPOINTS: list(way.waypoints)}
     ramps = {} if ramp is None else {RAMP: ramp}
-    return table | {RESOLVED: {"weights": {**filled, **given}, "reasons": reasons, **waypoints, **ramps, **poses}}
+    return table | {RESOLVED: {"weights": {**filled, **given}, "reasons": reasons, **waypoints, **ramps}}
 
 
 def resolved_defaults(parameters: Mapping[str, Any]) -> dict[str, str]:

@@ -13,7 +13,6 @@ from planner.cases.problem_file.keys import (
     KEYS,
     LIMITS,
     MODEL_LIMITS,
-    POSES,
     RAMP,
     RESOLVED,
     VALUES,
@@ -33,7 +32,7 @@ def with_defaults(table: dict[str, Any], where: str, stored: bool = False) -> di
     A plan's own table, `stored`, holds beside the keys of a file what was chosen by itself.
     """
     check_keys(table, (*KEYS, RESOLVED, PARAMETER) if stored else KEYS, where)
-    resolved = ("weights", "reasons", WAYPOINTS, RAMP, POSES)
+    resolved = ("weights", "reasons", WAYPOINTS, RAMP)
     for name, keys in (("weights", WEIGHTS), ("limits", LIMITS), ("avoid", AVOID), (RESOLVED, resolved)):
         part = table.get(name, {})
         if not isinstance(part, dict):

@@ -12,7 +12,7 @@ import numpy as np
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.ground_placement import whole_poses_on_ground
-from planner.cases.problem_file.keys import GOAL, POSES, RESOLVED
+from planner.cases.problem_file.keys import GOAL, RESOLVED
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import feet_move, rolling_dofs
@@ -116,9 +116,9 @@ def with_files(table: dict[str, Any], folder: Path, mechanism: Mechanism) -> dic
 
 def resolve_task(
     table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, limits: Limits | None,
-    avoid: Avoid | None = None, constraints: Sequence[Constraint] = (),
+    avoid: Avoid | None = None, constraints: Sequence[Constraint] = (), stored: np.ndarray | None = None,
 ) -> ResolvedTask:  # fmt: skip
-    """The task of a table and its poses; those of a stored plan are not refused again, nor sought if it has them.
+    """The task of a table and its poses; those of a stored plan are not refused again, nor sought if they are `stored`.
 
     Raises:
         PlannerError: What cannot be meant, or not be reached, or only in collision or against a constraint.
@@ -146,7 +146,6 @@ def resolve_task(
         goals = dated_by_way(evenly, waypoints, poses_for(evenly, dynamics, x0, ranges))
     task = task_from(goals)
     search = partial(poses_for, task, dynamics, x0, ranges)
-    stored = table.get(RESOLVED, {}).get(POSES)
     poses, apart = None if stored is None else stored_poses(stored, task), None
     if avoid is None:
         poses = poses or search()

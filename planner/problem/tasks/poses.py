@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,9 +37,10 @@ class Poses(NamedTuple):
     q: np.ndarray  # (E, nq)
     at_rest: np.ndarray  # (E,) bool
 
-    def to_dict(self) -> dict[str, list[Any]]:
-        """As JSON values."""
-        return {name: values.tolist() for name, values in self._asdict().items()}
+    @property
+    def table(self) -> np.ndarray:
+        """(E, 2 + nq) float: stage, whether at rest, configuration."""
+        return np.column_stack([self.stages, self.at_rest, self.q]).astype(float)
 
 
 class _Search(NamedTuple):
@@ -120,17 +121,17 @@ def poses_of(
     return Poses(np.array(stages), np.array(found), np.array(at_rest))
 
 
-def stored_poses(record: dict[str, Any], task: Task) -> Poses:
-    """The poses of a task that Poses.to_dict() wrote.
+def stored_poses(table: np.ndarray, task: Task) -> Poses:
+    """The poses of a task, from Poses.table.
 
     Raises:
         PlannerError: They are not of this task.
     """
-    stages, at_rest = np.array(record["stages"], dtype=int), np.array(record["at_rest"], dtype=bool)
-    q = array("q of the plan's poses", record["q"], (len(stages), task.mechanism.nq))
-    if stages[[0, -1]].tolist() != [0, task.N] or np.any(np.diff(stages) < 1) or at_rest.shape != stages.shape:
+    table = array("the table of the plan's poses", table, ("E", 2 + task.mechanism.nq))
+    stages = table[:, 0].astype(int)
+    if stages[[0, -1]].tolist() != [0, task.N] or np.any(np.diff(stages) < 1):
         raise PlannerError(f"the plan's poses are not at stages that rise from 0 to {task.N}.")
-    return Poses(stages, q, at_rest)
+    return Poses(stages, table[:, 2:], table[:, 1] != 0.0)
 
 
 def _check_joints(task: Task, here: Sequence[TimedGoal], ranges: np.ndarray) -> None:
