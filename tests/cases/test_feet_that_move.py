@@ -186,6 +186,7 @@ def test_feet_move_by_slip_or_by_height(forward):
     assert not feet_move(m, np.array([q, q + 0.5 * up]))
     assert feet_move(m, np.array([q, q + 1.1 * up, q]))
     assert not feet_move(m, np.array([q + off, q + off + np.eye(4)[0]]))  # in the air there are none
+    assert feet_move(m, np.array([q + off, q]))  # it lands
 
 
 JUMP = """duration = 1.4

@@ -84,9 +84,9 @@ def jump_not_found(plan: Plan, problem: Problem, proof: Proof | None) -> list[Su
         if asked - reached <= goal.tolerances(DEFAULT_TOLERANCES)["position"]:
             continue
         start = plan.xs[0, : mechanism.nq]
-        lacking = missing_height(mechanism, [Target(goal.frame, position)], start, ranges)
-        if lacking > STRIDE:
-            heights = {"asked": asked, "reached": reached, "standing": asked - lacking}
+        missing = missing_height(mechanism, [Target(goal.frame, position)], start, ranges)
+        if missing > STRIDE:
+            heights = {"asked": asked, "reached": reached, "standing": asked - missing}
             values = {name: Quantity(value, "m") for name, value in heights.items()}
             return [no_fix("goal", "jump_not_found", frame=goal.frame, time=Quantity(time, "s"), **values)]
     return []
