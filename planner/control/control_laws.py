@@ -69,6 +69,12 @@ class TrackedPlan:
     def _rule(self) -> StageRule:
         return StageRule(touch_downs_of(self._dynamics, self.xs))
 
+    @cached_property
+    def _feet(self) -> list[str]:
+        mechanism = capabilities_of(self._dynamics).mechanism
+        contacts = () if mechanism is None else mechanism.contacts
+        return [] if mechanism is None else list(dict.fromkeys(mechanism.body_of(one.link) for one in contacts))
+
     def control(self, t: float, x: np.ndarray) -> np.ndarray:
         """The control (nu,) with feedback at t, s, and x (nx,), before bounds; its stage is the clock's."""
         n = min(self._stages(t)[0], len(self.us) - 1)
@@ -79,6 +85,8 @@ class TrackedPlan:
 
         `standing_feet` are the names of those that bear load; by default they are estimated from x by the contact law.
         """
+        for foot in standing_feet or ():
+            choice("a foot of standing_feet", foot, self._feet)
         n, part = self._stages(t)
         if n == 0 or n >= len(self.us):  # a plan that is made again each stage has nothing to wait for
             return self.control(t, x)
@@ -182,9 +190,6 @@ class FixedPlanController:
     def __init__(self, plan: Plan) -> None:
         self.plan, self.problem = plan, problem_of(plan)
         self._begin()
-        mechanism = capabilities_of(self.problem.dynamics).mechanism
-        contacts = () if mechanism is None else mechanism.contacts
-        self._feet = [] if mechanism is None else list(dict.fromkeys(mechanism.body_of(one.link) for one in contacts))
         self._hold: GoalRegulator | None = None
         self._holding = FallbackControl(self.problem)
         try:
@@ -214,8 +219,6 @@ class FixedPlanController:
                 default what the plan's contact law says at x, with the ground where the model has it.
         """
         plan, bounds = self.plan, self.problem.bounds
-        for foot in standing_feet or ():
-            choice("a foot of standing_feet", foot, self._feet)
         if not self._tracked.ended(t):
             u = self._tracked.waiting_control(t, x, standing_feet)
         else:

@@ -5,14 +5,13 @@
     call       both: it plans from the measured x where a plan is due
 
 The feedback is the minimum of the LQ problem of the last iteration from the measured state, as in real-time iteration.
-The states, and what leads from one to another, are in planner.control.controller_states.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from numbers import Real
@@ -199,11 +198,12 @@ class Controller(StateMachine):
             self._thread.shutdown()
             self.stop()
 
-    def __call__(self, t: float, x: np.ndarray) -> np.ndarray:
+    def __call__(self, t: float, x: np.ndarray, standing_feet: Collection[str] | None = None) -> np.ndarray:
         """The control (nu,) at time t, s, and state x (nx,); plans if a plan is due.
 
         The state of a Mechanism is MuJoCo's qpos, qvel and act. Any measurement is answered by a control that is finite
         and within the bounds: while one is unusable, the plan goes on without feedback, then the machine is held.
+        `standing_feet` are the names of those that bear load now, as for FixedPlanController.
         """
         self.planned, self.seconds, self.processor_seconds = False, 0.0, 0.0
         fault = self._fault(t, x)
@@ -216,7 +216,7 @@ class Controller(StateMachine):
             if self._plans:  # no stop, nor a goal that cannot be met, came meanwhile
                 self._ended(t, fault)
         if not due or self._pending is not None or not self._plans:
-            return self._control(t, x)
+            return self._control(t, x, standing_feet)
         self._started(t)
         if self._thread is not None:
             self._slide(t + self.latency)
@@ -226,13 +226,13 @@ class Controller(StateMachine):
                 self._pending.set_result(self._timed(t, x, self.latency))
             else:
                 self._pending = self._thread.submit(self._timed, t, x, self.latency)
-            return self._control(t, x)
+            return self._control(t, x, standing_feet)
         if self.latency:
             t, x = t + self.latency, self._usable(state_after(self._model, x, self._acting, self.latency))
         if self._replan(t, x):
             self._acting = self._tracked.us[0].copy()
             return self._acting.copy()
-        return self._control(t, x)
+        return self._control(t, x, standing_feet)
 
     def prepare(self, t: float, x: np.ndarray | None = None) -> bool:
         """Plan for time t, s; whether it succeeded. `feedback` then tracks that plan.
@@ -255,18 +255,21 @@ class Controller(StateMachine):
             x = self._usable(state_after(self._model, self._seen, self._acting, since))
         return self._replan(t, np.asarray(x, dtype=float), searched=False)
 
-    def feedback(self, x: np.ndarray, t: float | None = None) -> np.ndarray:
+    def feedback(
+        self, x: np.ndarray, t: float | None = None, standing_feet: Collection[str] | None = None
+    ) -> np.ndarray:  # fmt: skip
         """The control (nu,) at state x (nx,) by the last plan; nothing is planned.
 
         Args:
             x: (nx,) measured state.
             t: s; by default the time that the last plan was prepared for.
+            standing_feet: As of a call.
         """
         if math.isnan(self._begin):
             raise PlannerError("the controller has not planned yet, expected prepare(t) or controller(t, x) before.")
         t = self._tracked.made if t is None else t
         fault = self._fault(t, x)
-        return self._control(t, self._measured(t, x)) if fault is None else self._without(t, fault)
+        return self._without(t, fault) if fault else self._control(t, self._measured(t, x), standing_feet)
 
     @property
     def _plans(self) -> bool:
@@ -282,9 +285,8 @@ class Controller(StateMachine):
         """Move the window to the plan for time t, with the last goal."""
         stage = self._stage(t)
         if self._new_goal is not None:
-            last = np.atleast_2d(self._new_goal)[-1]
             near = self._tracked.us[-1] if self._rest is None else self._rest
-            self._rest = equilibrium_control(self._model, last, near)
+            self._rest = equilibrium_control(self._model, np.atleast_2d(self._new_goal)[-1], near)
             self._window.aim(self._new_goal, self._rest, stage)
             self._new_goal = None
         self._window.slide(stage)
@@ -295,8 +297,7 @@ class Controller(StateMachine):
         """One solve from x at t, or from where the last plan leads `ahead` s later, and its times."""
         began, worked = time.perf_counter(), self._processor_time()
         if ahead:
-            x = self._usable(self._led(t, x, ahead))
-            t += ahead
+            t, x = t + ahead, self._usable(self._led(t, x, ahead))
         held = self._holding(x, self._tracked.us[-1]) if self._held and np.isfinite(x).all() else None
         fault = self._replanner.replan(t, x, held, self._leads_back, searched)
         self._taken = time.perf_counter() - began, self._processor_time() - worked
@@ -368,19 +369,17 @@ class Controller(StateMachine):
         """The control without a usable measurement: of the plan alone, or what holds the machine where it was seen."""
         now = self._now if fault is Fault.CLOCK else max(t, self._now)
         self.unusable(now, fault)
-        if self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED):
-            u = self._holding(self._seen, self._tracked.us[-1], damped=False)
-        else:
-            u = self._tracked.feedforward(now)
+        holds = self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED)
+        u = self._holding(self._seen, self._tracked.us[-1], damped=False) if holds else self._tracked.feedforward(now)
         self._acting = self._clipped(now, u)
         return self._acting.copy()
 
-    def _control(self, t: float, x: np.ndarray) -> np.ndarray:
+    def _control(self, t: float, x: np.ndarray, standing_feet: Collection[str] | None) -> np.ndarray:
         """The control (nu,) of the last plan with its feedback, or what holds the machine."""
         if self._tracked.ended(t):
             self.hold(t, "the plan has ended")
         holds = self.status in (ControllerStatus.HOLDING, ControllerStatus.STOPPED)
-        u = self._holding(x, self._tracked.us[-1]) if holds else self._tracked.waiting_control(t, x)
+        u = self._holding(x, self._tracked.us[-1]) if holds else self._tracked.waiting_control(t, x, standing_feet)
         self._acting = self._clipped(t, u)
         return self._acting.copy()
 

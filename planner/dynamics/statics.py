@@ -29,7 +29,7 @@ from planner.dynamics.kinematics import center_of_mass
 from planner.dynamics.quasi_static import carried_by_thrusters
 from planner.dynamics.resting_poses import along_ground, extended, minimum_of_energy, saddle_of_energy
 from planner.kernels.tree.mechanism_table import chain_of
-from planner.model.capabilities import rolling_radii, roots, unactuated_basis
+from planner.model.capabilities import rolling_radii, roots, stands_on_ground, unactuated_basis
 from planner.model.mechanism import Mechanism
 
 RANK = 1e-6  # relative to the largest singular value: of contact Jacobians
@@ -128,6 +128,11 @@ def stays_in_air(mechanism: Mechanism, x: np.ndarray) -> bool:
     return clearance(mechanism, x) > NEAR_GROUND and carried_by_thrusters(mechanism)
 
 
+def stands_somewhere(mechanism: Mechanism, xs: np.ndarray) -> bool:
+    """Whether the ground carries a machine at rest in some of the states (K, nx): not in those where thrusters do."""
+    return stands_on_ground(mechanism) and not all(stays_in_air(mechanism, x) for x in xs)
+
+
 def _at(place: np.ndarray) -> str:
     return f"({place[0]:.6g}, {place[1]:.6g})"
 
@@ -176,26 +181,27 @@ def goal_without_foot_slip(mechanism: Mechanism, start: np.ndarray, goal: np.nda
 def feet_move(mechanism: Mechanism, qs: np.ndarray) -> bool:
     """Whether a foot that bears load at the first of configurations (E, nq) has moved by more than STRIDE at another.
 
-    Along the ground it is the slip J dq, which is zero where the foot rolls; away from it the distance.
+    Along the ground it is the slip J dq, which is zero where the foot rolls; away from it the distance. Where none
+    bears load at first, whether one does later: the machine lands.
     """
     space, nq, nv = mechanism.space, mechanism.nq, mechanism.nv
     xs = np.hstack([qs, np.zeros((len(qs), space.nx - nq))])
     states = contact_forces(mechanism, qs, np.zeros((len(qs), nv)))
     carry = np.flatnonzero(states.forces[0].any(axis=1))
+    if not carry.size:
+        return bool(states.forces.any())
     slip = np.zeros((len(carry), 3))
     for k in range(1, len(qs)):
-        if not carry.size or np.any(states.depths[k, carry] < -STRIDE):
-            break
+        if np.any(states.depths[k, carry] < -STRIDE):
+            return True
         way = space.difference(xs[k], xs[k - 1])
         J = contact_jacobians(mechanism, space.integrate(xs[k - 1], 0.5 * way)[:nq], carry)
         n = np.array([mechanism.contacts[c].plane.normal for c in carry])
         shift = J @ way[:nv]
         slip += shift - n * np.einsum("ka,ka->k", n, shift)[:, None]
         if np.linalg.norm(slip, axis=1).max() > STRIDE:
-            break
-    else:
-        return False
-    return bool(carry.size)
+            return True
+    return False
 
 
 def rolling_dofs(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:

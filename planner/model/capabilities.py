@@ -159,7 +159,7 @@ def floating_dofs(mechanism: Mechanism) -> np.ndarray:
 
     Slides at the root of a tree with actuators, and the hinge or ball joint behind them: a free joint, or those of a
     planar machine. No actuator, spring or friction acts on them, and no contact, loop closure or tendon on their tree.
-    Gravity turns nothing about a base that falls with it, along its slides.
+    Gravity turns nothing about a base that falls with it, along its slides, and nothing about an axis along itself.
     """
     root, found = roots(mechanism), np.zeros(mechanism.nv, dtype=bool)
     outside = _trees_acted_on(mechanism)
@@ -179,8 +179,10 @@ def floating_dofs(mechanism: Mechanism) -> np.ndarray:
                 break
             i = int(children[0])
         turns = slice(i, i + (1 if mechanism.kind[i] == SCREW else 3))
-        along = np.reshape(axes, (-1, 3)).T @ np.linalg.pinv(np.reshape(axes, (-1, 3)).T) @ weight
-        if not np.any(pushed[turns]) and np.allclose(along, weight):
+        borne = weight - np.reshape(axes, (-1, 3)).T @ np.linalg.pinv(np.reshape(axes, (-1, 3)).T) @ weight
+        if mechanism.kind[i] == SCREW:
+            borne = np.cross(frame @ mechanism.T_home[i, :3, :3] @ mechanism.S[i, :3], borne)
+        if not np.any(pushed[turns]) and np.allclose(borne, 0.0):
             found[turns] = True
     return found
 

@@ -43,7 +43,14 @@ from planner.dynamics.assembly import closed_chains, feasible_directions
 from planner.dynamics.joint_forces import actuator_lengths, actuator_moments, force_slopes, gains_at
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.dynamics.rest_on_stops import leaning_dofs
-from planner.dynamics.statics import carriers, contact_stiffness, feet_move, rolling_speeds, stance_inertia
+from planner.dynamics.statics import (
+    carriers,
+    contact_stiffness,
+    feet_move,
+    rolling_speeds,
+    stance_inertia,
+    stands_somewhere,
+)
 from planner.model.capabilities import ballistic_dofs, flies, rolling_radii, stands_on_ground, stationary_object_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
@@ -109,7 +116,7 @@ def default_weights(
     velocity = np.zeros(nv)
     both = np.stack([x0, goal])
     actuated, decided = fully_actuated(dynamics, both), _decided_by_stops(mechanism, both)
-    carried = stands_on_ground(mechanism)
+    carried = stands_somewhere(mechanism, both)
     between = both[:, : mechanism.nq] if way is None else way
     steps = carried and (stays or way is not None) and feet_move(mechanism, between)
     stands = carried and (stays or steps)

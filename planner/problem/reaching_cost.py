@@ -24,7 +24,7 @@ from planner.dynamics.algorithms import bias, mass_matrix
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.joint_forces import actuator_lengths, force_slopes
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.model.capabilities import stands_on_ground
+from planner.dynamics.statics import stands_somewhere
 from planner.problem.costs.frame import SlipCost
 from planner.problem.costs.terms import SumCost
 from planner.problem.costs.tracking import TrackingCost
@@ -53,7 +53,8 @@ def default_cost(
     """
     x0, goal = np.asarray(x0, dtype=float), np.asarray(goal, dtype=float)
     chosen: dict[str, Any] = default_weights(dynamics, x0, goal, horizon * dynamics.dt, tolerance=tolerance).weights
-    return weighed(dynamics, x0, goal, horizon, chosen | weights, straight=stands_on_ground(dynamics.mechanism))
+    straight = stands_somewhere(dynamics.mechanism, np.stack([x0, goal]))
+    return weighed(dynamics, x0, goal, horizon, chosen | weights, straight=straight)
 
 
 def weighed(

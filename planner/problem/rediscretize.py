@@ -43,18 +43,23 @@ MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine 
 OF_LARGEST = 0.1  # smallest range of motion, as a share of the largest of its unit
 
 
-def finer(problem: Problem) -> Problem:
+def finer(problem: Problem, keep_substeps: bool = False) -> Problem:
     """A problem with the next finer discretization.
 
     An integrator of first order becomes the one of its kind that is finer at the same stage, which leaves the cost as
     it is. RK4 and the implicit method get stages of half the length: a stage weight becomes two of half its size, with
     the same reference, and the final weight stays, so that the cost still approximates the same integral.
 
+    Args:
+        problem: Any.
+        keep_substeps: Whether a stage keeps its number of substeps. Else it has as many as make them no longer: then
+            half a stage may be integrated in steps that are hardly shorter.
+
     Raises:
         PlannerError: Parts without with_step and resampled, or more than 100 000 stages.
     """
     if problem.objective is not None:
-        return with_objective(finer(base_problem(problem)), problem.objective.weights)
+        return with_objective(finer(base_problem(problem), keep_substeps), problem.objective.weights)
     known = integrator_of(problem.dynamics)
     parts, finest = 1 if known.order == 1 else 2, known.finer
     if parts * problem.N > MAX_STAGES:
@@ -63,9 +68,15 @@ def finer(problem: Problem) -> Problem:
     limits = None if problem.limits is None else problem.limits.repeated(parts)
     if problem.recipe is not None and "integrator" in problem.recipe.parameters:
         step = {"dt": dt} if "dt" in problem.recipe.parameters else {"horizon": parts * problem.N}
+        if keep_substeps and parts > 1 and "substeps" in problem.recipe.parameters:
+            step["substeps"] = getattr(problem.dynamics, "substeps", 1)
         return replace(base_problem(problem.recipe.rebuilt(integrator=finest, **step)), limits=limits)
+    dynamics = _with_step(problem.dynamics, dt, finest)
+    if keep_substeps and parts > 1 and type(dynamics) is RigidBodyDynamics:
+        own = dynamics.mechanism, dt, finest, dynamics.prescribed
+        dynamics = RigidBodyDynamics(*own, getattr(problem.dynamics, "substeps", 1))
     return replace(
-        problem, dynamics=_with_step(problem.dynamics, dt, finest), horizon=parts * problem.N,
+        problem, dynamics=dynamics, horizon=parts * problem.N,
         us=np.repeat(problem.first_guess, parts, axis=0), limits=limits,
         constraints=[one.resampled(parts) for one in problem.constraints],
         cost=problem.cost if parts == 1 else call_if_supported(problem.cost, "resampled", parts, 1.0 / parts),

@@ -15,6 +15,7 @@ from planner.problem.costs.frame import CLEARANCE, SlipCost
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, SLIP_SPEED, STANCE_TOLERANCES, WAY_SHARE
 from planner.problem.reaching_cost import with_slip
+from planner.proof.diagnostics import suggested_fixes
 from planner.proof.skating import foot_penetration, skating
 
 MONOPOD = """<mujoco model="monopod"><option timestep="0.002"/>
@@ -185,6 +186,7 @@ def test_feet_move_by_slip_or_by_height(forward):
     assert not feet_move(m, np.array([q, q + 0.5 * up]))
     assert feet_move(m, np.array([q, q + 1.1 * up, q]))
     assert not feet_move(m, np.array([q + off, q + off + np.eye(4)[0]]))  # in the air there are none
+    assert feet_move(m, np.array([q + off, q]))  # it lands
 
 
 JUMP = """duration = 1.4
@@ -258,3 +260,18 @@ def test_a_jump_that_cannot_be_is_refused(tmp_path, height, time, duration, frag
 def test_a_high_jump_is_not_refused(tmp_path):
     """2.3 of the 2.35 m that gravity allows at 0.6 s of 1.4 s, at 6.7 m/s of the 8.6 m/s above."""
     assert problem_of(tmp_path, HIGHER.format(height=2.94, time=0.6, duration=1.4)).goal_specs
+
+
+def test_a_jump_that_no_solve_finds_says_how_high_the_plan_gets(tmp_path):
+    """The leg reaches 0.65 m, less the margin of its range: what is lower needs no jump."""
+    options = planner.SolverOptions(max_iterations=3, homotopy=False)
+    plan = planner.solve(problem_of(tmp_path, HIGHER.format(height=2.0, time=0.6, duration=1.4)), options)
+    (found,) = suggested_fixes(plan)
+    assert (found.code, found.value) == ("jump_not_found", None)
+    at = {name: one.value for name, one in found.values.items() if name in ("asked", "reached", "standing")}
+    assert at["asked"] == 2.0
+    assert at["reached"] == pytest.approx(0.6 + plan.xs[60, 1])  # m, of the trunk above its slide z at 0.6 s
+    assert at["standing"] == pytest.approx(0.64, abs=0.01)
+    assert "gets to" in found.sentence
+    plan = planner.solve(problem_of(tmp_path, HIGHER.format(height=0.6, time=0.6, duration=1.4)), options)
+    assert "jump_not_found" not in [one.code for one in suggested_fixes(plan)]

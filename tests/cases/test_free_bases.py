@@ -11,6 +11,7 @@ from planner.dynamics.kinematics import center_of_mass
 from planner.model.capabilities import ballistic_dofs, floating_dofs
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import goals_of
+from planner.problem.tasks.momentum import kept_center_of_mass
 
 CAT = """<mujoco model="cat"><option gravity="0 0 {gravity}"/><worldbody>
   <body name="chest" pos="0 0 3"><freejoint name="root"/>
@@ -115,6 +116,42 @@ def test_a_frame_of_what_floats_goes_where_its_centre_of_mass_stays(tmp_path):
     (tmp_path / "away.toml").write_text(text)
     with pytest.raises(PlannerError, match="nothing pushes the machine from outside and its centre of mass stays"):
         load(tmp_path / "away.toml")
+
+
+TABLE = """<mujoco><option gravity="{gravity}"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
+  <joint name="y" type="slide" axis="0 1 0"/>{yaw}<geom size=".2" mass="4" contype="0" conaffinity="0"/>
+  <body pos=".2 0 0"><joint name="arm" axis="0 0 1" damping=".1"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".05"
+   mass="1" contype="0" conaffinity="0"/><body pos=".5 0 0"><joint name="elbow" axis="0 0 1" damping=".1"/>
+   <geom type="capsule" fromto="0 0 0 .4 0 0" size=".04" mass=".6" contype="0" conaffinity="0"/>
+   <site name="tip" pos=".4 0 0"/></body></body></body></worldbody>
+  <actuator><motor joint="arm" ctrlrange="-5 5"/><motor joint="elbow" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("gravity", ["0 0 0", "0 0 -9.81", "0 -9.81 0"])
+@pytest.mark.parametrize("yaw", ["", '<joint name="yaw" axis="0 0 1"/>'])
+def test_what_floats_on_a_table_keeps_its_centre_of_mass(tmp_path, gravity, yaw):
+    """Unless the table is upright, where it falls."""
+    (tmp_path / "table.xml").write_text(TABLE.format(gravity=gravity, yaw=yaw))
+    goal = '[[goal]]\nframe = "tip"\nposition = [{}, 0.4, 0]\n'
+    text = 'model = "table.xml"\nstart = {}\nduration = 2.0\n'
+    m = planner.Mechanism.from_mjcf(TABLE.format(gravity=gravity, yaw=yaw))
+    assert floating_dofs(m).tolist() == [True] * (m.nv - 2) + [False] * 2
+    dynamics, falls = planner.RigidBodyDynamics(m, 0.01), gravity.startswith("0 -")
+    kept = kept_center_of_mass(dynamics, m.home)
+    assert (kept is None) == falls
+    if falls:
+        return
+    (tmp_path / "near.toml").write_text(text + goal.format(0.8))
+    poses = tracking_of(load(tmp_path / "near.toml").problem.cost).x_ref[[0, -1], : m.nq]
+    before, after = (center_of_mass(m, q) for q in poses)
+    np.testing.assert_allclose(after, before, atol=2e-3)  # as above
+    assert np.abs(poses[1, :2]).max() > 0.02  # m: the base goes the other way
+    (tmp_path / "away.toml").write_text(text + goal.format(2.0))
+    with pytest.raises(PlannerError, match="nothing pushes the machine from outside and its centre of mass stays"):
+        load(tmp_path / "away.toml")
+    q, d = poses[1], 1e-6 * np.eye(m.nv)
+    slopes = [(kept(q + one)[0] - kept(q - one)[0]) / 2e-6 for one in d]
+    np.testing.assert_allclose(kept(q)[1], np.transpose(slopes), atol=1e-5)
 
 
 def test_a_base_that_is_prescribed_goes_where_its_way_takes_it(tmp_path):

@@ -11,6 +11,7 @@ from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import center_of_mass
 from planner.dynamics.statics import clearance
 from planner.model.mjcf.file_law import FILE_SMOOTHING
+from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import static_error
 from planner.proof.diagnostics.balance import standing_goal
 
@@ -171,6 +172,15 @@ def test_a_lander_stays_in_the_air_and_lands_on_the_ground(tmp_path):
     m = file.problem.dynamics.mechanism
     np.testing.assert_array_equal(file.problem.x0, m.home)
     assert "start is not put on the ground, since thrusters carry it in the air." in file.notes
-    x = file.problem.cost.x_ref[-1]
+    cost = tracking_of(file.problem.cost)
+    x = cost.x_ref[-1]
     assert contact_forces(m, x[:7], np.zeros(6)).forces[:, 2].sum() == pytest.approx(9.0 * 9.81, rel=1e-6)
     assert x[0] == 0.5
+    # no straight line down: it is there in the last quarter
+    assert not cost.Q[:37, :6, :6].any()
+    assert np.diagonal(cost.Q[38:, :6, :6], axis1=1, axis2=2).all()
+    goal = "{ ship = [0.5, 0, 1.5, 1, 0, 0, 0] }"  # and in the air it is no machine that stands
+    (tmp_path / "p.toml").write_text(TABLE.format(start="{}", goal=goal, more='contacts = "file"'))
+    weights = load(tmp_path / "p.toml").problem.parameters["resolved"]["weights"]
+    assert not np.any(weights["position"])
+    assert np.all(weights["final_position"])

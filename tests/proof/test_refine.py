@@ -6,10 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from places import ROOT
 from swings import mechanism, quick, solved, strange, swing
 
 import planner
 from planner.base.measured import Measurement, Section
+from planner.cases.problem_file import load
 from planner.problem.plan import Status
 from planner.problem.rediscretize import step_error
 from planner.proof.error_scales import SMOOTHED, ranges_of_motion
@@ -137,6 +139,16 @@ def test_a_plan_that_its_steps_do_not_resolve_is_refined(failed):
     repeated = proof.sections | {"refined_feedback": section("refined", value=0.0)}
     proof = replace(proof, sections=repeated, replay=replace(proof.replay, plan=plan))
     assert refine(plan, proof).passed
+
+
+def test_a_ball_that_is_pushed_is_resolved_by_half_the_stage_in_as_many_substeps():
+    """Three substeps follow the arm at its start, and not the ball's contact; of half a stage two would."""
+    plan = load(ROOT / "benchmarks" / "moving" / "ball-push.toml").solved(None)
+    assert plan.status is Status.UNRESOLVED
+    refined = refine(plan, planner.prove(plan, rollouts=0), limit=1)
+    assert refined.plan.status is Status.CONVERGED
+    assert refined.plan.problem.dynamics.substeps == plan.problem.dynamics.substeps == 3
+    assert refined.passed
 
 
 def test_a_goal_that_only_the_replay_misses_is_refined(failed):

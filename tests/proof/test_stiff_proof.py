@@ -71,6 +71,7 @@ def test_perturbed_machines_take_at_most_half_a_substep(plan):
 def test_a_plan_of_shorter_stages_has_fewer_substeps(plan):
     problem = replace(plan.problem, us=plan.us)
     assert finer(problem).dynamics.substeps == -(-problem.dynamics.substeps // 2)
+    assert finer(problem, keep_substeps=True).dynamics.substeps == problem.dynamics.substeps  # for what is unresolved
 
 
 HAND = """

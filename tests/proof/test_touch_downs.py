@@ -211,6 +211,28 @@ def test_a_plan_alone_takes_what_switches_tell(dropped):
         controller(t, x, standing_feet=["front_left"])
 
 
+def test_a_controller_takes_what_switches_tell(dropped):
+    """Between two plans, as a plan alone does; one that is made again each stage has nothing to wait for."""
+    (landing,) = dropped.touch_downs
+    controller = planner.Controller(dropped.problem, horizon=N, rate=4.0, plan=dropped)
+    alone = planner.FixedPlanController(dropped)
+    told = {}
+    for feet in ((), FEET):
+        for one in (controller, alone):
+            one.reset()
+        controller(0.0, dropped.xs[0])  # makes a plan, in whose place the one with a known landing is tracked
+        controller._tracked = TrackedPlan(dropped.problem.dynamics, (dropped.xs, dropped.us, dropped.K), 0.0)
+        for n in range(1, landing.stage - 2):
+            stands = feet if n == landing.stage - 3 else ()
+            u = controller(DT * n, dropped.xs[n], standing_feet=stands)
+            np.testing.assert_array_equal(u, alone(DT * n, dropped.xs[n], standing_feet=stands))
+        told[feet] = u
+        np.testing.assert_array_equal(controller.feedback(dropped.xs[n], DT * n, standing_feet=feet), u)
+    assert np.abs(told[FEET] - told[()]).max() > 0.1  # N m
+    with pytest.raises(planner.PlannerError, match="front_left_shank"):
+        controller(DT * n, dropped.xs[n], standing_feet=["front_left"])
+
+
 def test_the_file_has_the_rule(dropped, tmp_path):
     dropped.save(tmp_path / "plan.npz")
     with np.load(tmp_path / "plan.npz") as file:

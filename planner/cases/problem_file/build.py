@@ -95,7 +95,7 @@ from planner.cases.problem_file.tasks import (
     with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
-from planner.model.capabilities import stands_on_ground
+from planner.dynamics.statics import stands_somewhere
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.attached import attachments, stored_records
 from planner.model.mjcf.obstacles import obstacles_of
@@ -362,7 +362,7 @@ def _built(
         along = along if cycle.cycles == 1 else None
         cost, x0 = cycle_cost(dynamics, x0, cyclic, cycle, end, weights), start
     elif way is None:
-        straight = stands_on_ground(mechanism) and "position" not in table["weights"]
+        straight = stands_somewhere(mechanism, np.stack([x0, goal])) and "position" not in table["weights"]
         walked = weights if along is None else along_gait(dynamics, along.states, weights)
         cost = weighed(dynamics, x0, goal, N, walked, straight=straight)
     else:

@@ -15,8 +15,7 @@ from planner.cases.problem_file.ground_placement import whole_poses_on_ground
 from planner.cases.problem_file.keys import GOAL, RESOLVED
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.statics import feet_move, rolling_dofs
-from planner.model.capabilities import stands_on_ground
+from planner.dynamics.statics import feet_move, rolling_dofs, stands_somewhere
 from planner.model.mechanism import Mechanism
 from planner.problem.collision_free_path import CollisionChecker
 from planner.problem.constraints.clearance import Avoid, AvoidanceConstraint
@@ -168,7 +167,8 @@ def resolve_task(
 def _stands_all_along(table: dict[str, Any], task: Task, poses: Poses) -> bool:
     """Whether a machine stands, at the end at rest, on feet that stay where they are: its poses keep its balance."""
     asked = bool(task.follows) or "position" in table["weights"]
-    return task.rests and not asked and stands_on_ground(task.mechanism) and not feet_move(task.mechanism, poses.q)
+    stands = task.rests and not asked and stands_somewhere(task.mechanism, poses.q)
+    return stands and not feet_move(task.mechanism, poses.q)
 
 
 def steps_of(table: dict[str, Any]) -> Gait | None:

@@ -9,7 +9,9 @@ T, flies within 0 ... T; so whatever its legs can do
 which a parabola from 0 to T has at t. It leaves the ground at v = c / s + g s / 2 or faster, s the shorter of t and
 sqrt(2 c / g), the time to its apex. From the last moment of rest on the actuators do at most the work of their largest
 forces over the whole ranges of their joints, and that is at least m v^2 / 2. Springs may have stored more:
-machines with some are not judged by work. Both are bounds: what is not refused may still be impossible.
+machines with some are not judged by work. Both are bounds: what is not refused may still be impossible. What the
+actuators' forces lift at rest is no bound: a leg that is nearly straight carries any load, so that one that is planted
+ahead turns speed along the ground into height.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ def check_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: 
         landing = next((int(s) for s, gap in zip(poses.stages[k:], gaps[k:], strict=True) if gap <= STRIDE), math.inf)
         t, T = stage * dynamics.dt, landing * dynamics.dt
         if _refusal(mechanism, gaps[k], t, T, ranges):  # lowered by its gap the pose stands: the legs lack less
-            c = min(gaps[k], _missing_height(mechanism, targets, poses.q[0], ranges))
+            c = min(gaps[k], missing_height(mechanism, targets, poses.q[0], ranges))
             if refusal := _refusal(mechanism, c, t, T, ranges):
                 raise PlannerError(f"{here[0].label} {refusal}")
 
@@ -121,7 +123,7 @@ def _takeoff_speed(mechanism: Mechanism, ranges: np.ndarray) -> float:
     return math.sqrt(2.0 * float(force[pushing] @ stroke[pushing]) / float(mechanism.mass.sum()))
 
 
-def _missing_height(mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, ranges: np.ndarray) -> float:
+def missing_height(mechanism: Mechanism, targets: Sequence[Target], q: np.ndarray, ranges: np.ndarray) -> float:
     """What legs lack to targets, m, with the best one of the feet that stand at q (nq,) on the ground."""
     depths = contact_forces(mechanism, q, np.zeros(mechanism.nv)).depths
     lowest = {mechanism.contacts[k].link: int(k) for k in np.argsort(depths) if depths[k] > 0.0}

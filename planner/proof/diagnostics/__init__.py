@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from planner.problem.plan import Plan, Status
 from planner.proof.diagnostics.avoid_contact import avoid_contact, no_way_around
-from planner.proof.diagnostics.balance import falling, gait_needed, standing_goal
+from planner.proof.diagnostics.balance import falling, gait_needed, jump_not_found, standing_goal
 from planner.proof.diagnostics.cycles import failing_cycle
 from planner.proof.diagnostics.effort import longer, more_time, passing_duration
 from planner.proof.diagnostics.goals import larger_weights, untouched, without_ignored
@@ -32,8 +32,9 @@ __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 
 _CAUSES = (
     other_model, standing_goal, gait_needed, first_guess, no_way_around, avoid_contact, fixed_joints, untouched,
-    more_time, passing_duration, penalize_velocity, within_limits, without_ignored, more_iterations, shorter_stage,
-    calmer_gains, clamped_between, wider_margin, larger_weights, other_guesses, falling, not_a_minimum, soft_equalities,
+    jump_not_found, more_time, passing_duration, penalize_velocity, within_limits, without_ignored, more_iterations,
+    shorter_stage, calmer_gains, clamped_between, wider_margin, larger_weights, other_guesses, falling, not_a_minimum,
+    soft_equalities,
 )  # fmt: skip
 _OF_CYCLES = (avoid_contact, fixed_joints, within_limits, more_iterations, failing_cycle)
 

@@ -1,4 +1,4 @@
-"""Diagnose standing machines: a goal pose that is not statically stable, and a fall along the trajectory."""
+"""Diagnose standing machines: goal poses that are not stable, jumps that are not found, falls along the trajectory."""
 
 from __future__ import annotations
 
@@ -6,14 +6,19 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.base.measured import Quantity
-from planner.dynamics.kinematics import center_of_mass
+from planner.dynamics.inverse_kinematics import Target
+from planner.dynamics.kinematics import center_of_mass, frame_pose
 from planner.dynamics.statics import STRIDE, static_equilibrium, stays_in_air
 from planner.model.capabilities import capabilities_of, rolling_radii, stands_on_ground
 from planner.model.mjcf.contact_mode import STANDING
 from planner.problem.costs.tracking import tracking_of
+from planner.problem.goals import between
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.problem.tasks.flight import missing_height
+from planner.problem.tasks.goal import goal_of
 from planner.problem.tasks.legs import standing_feet
+from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file
 from planner.proof.verdict import Proof
 
@@ -54,6 +59,37 @@ def gait_needed(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugge
     way -= feet[0].normal * (feet[0].normal @ way)
     distance = float(np.linalg.norm(way))
     return [fix(problem, "gait", "trot", "gait_needed", distance=Quantity(distance, "m"))] if distance > STRIDE else []
+
+
+def jump_not_found(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """How high a machine that stands gets, where no solve converged to the jump that it is asked for."""
+    mechanism, goals = capabilities_of(problem.dynamics).mechanism, problem.parameters.get("goal")
+    if not of_file(problem) or not isinstance(goals, list) or mechanism is None or plan.converged:
+        return []
+    feet = standing_feet(mechanism, plan.xs[0])
+    if not feet or not np.any(mechanism.gravity) or not np.isfinite(plan.xs).all():
+        return []
+    up = -mechanism.gravity / np.linalg.norm(mechanism.gravity)
+    ranges = np.tile([-np.inf, np.inf], (mechanism.nv, 1))
+    if problem.limits is not None:
+        ranges = problem.limits.position_ranges(problem.dynamics)
+    for k, given in enumerate(goals, 1):
+        goal = goal_of(given, f"goal {k}")
+        if not goal.through or goal.frame is None or goal.position is None:
+            continue
+        position, time = np.asarray(goal.position, dtype=float), goal.after(problem.duration)
+        x = between(plan.t, plan.xs, np.array([time]))[0]
+        q, asked = x[: mechanism.nq], float(up @ position)
+        reached = float(up @ frame_pose(mechanism, q, mechanism.frame(goal.frame))[:3, 3])
+        if asked - reached <= goal.tolerances(DEFAULT_TOLERANCES)["position"]:
+            continue
+        start = plan.xs[0, : mechanism.nq]
+        missing = missing_height(mechanism, [Target(goal.frame, position)], start, ranges)
+        if missing > STRIDE:
+            heights = {"asked": asked, "reached": reached, "standing": asked - missing}
+            values = {name: Quantity(value, "m") for name, value in heights.items()}
+            return [no_fix("goal", "jump_not_found", frame=goal.frame, time=Quantity(time, "s"), **values)]
+    return []
 
 
 def loses_balance(proof: Proof) -> bool:

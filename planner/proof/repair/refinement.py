@@ -167,7 +167,7 @@ def refine(
         began = time.monotonic()
         assert plan.problem is not None
         try:
-            problem = finer(plan.problem)
+            problem = finer(plan.problem, keep_substeps=plan.status is Status.UNRESOLVED)
         except PlannerError as error:
             reason = f"It cannot be refined: {error}"
             break
