@@ -7,12 +7,13 @@ import pytest
 
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.model_index import compile_model
 from planner.problem.appearance import Appearance, GoalMark
 from planner.problem.default_appearance import MAX_CURVES, small_multiples
 from planner.view.render.camera import directions, swept_box, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
-from planner.view.render.scene import Scene
+from planner.view.render.scene import Scene, best_rows
 from planner.view.render.shapes import LinkCapsules, drawn
 from planner.view.render.video import render_poses
 
@@ -89,6 +90,30 @@ def test_links_without_shapes_are_sticks_from_joint_to_joint():
     np.testing.assert_allclose(ends[0], [[0, 0, 0.5], [0, 0, 0.9]], atol=1e-12)
     np.testing.assert_allclose(ends[1], [[0, 0, 0.9], [0.4, 0, 0.9]], atol=1e-12)
     assert len(LinkCapsules(film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))[1]).ends(data)) == 0
+
+
+@pytest.mark.parametrize("joint", ["hinge", "slide", "ball", "free"])
+def test_a_machine_that_is_a_point_is_a_rod_of_its_inertia_and_has_a_place_for_the_camera(joint):
+    """A rod of the mass 3 kg and the length 2 m has the moment of inertia 1 kg m^2 about its middle."""
+    text = f"""<mujoco><worldbody><body><joint type="{joint}" axis="0 1 0"/>
+      <inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/></body></worldbody></mujoco>"""
+    mechanism = Mechanism.from_mjcf(text)
+    still = Film.of_poses(mechanism, dict.fromkeys(["one", "the same"], compile_model(text, {}).qpos0))
+    model = visible_model([still])
+    data = load_mujoco().MjData(model)
+    load_mujoco().mj_kinematics(model, data)
+    start, end = LinkCapsules(model).ends(data)
+    np.testing.assert_allclose(np.linalg.norm(end - start), 2.0)
+    assert abs((end - start)[1]) < 1e-9 or joint in ("ball", "free")
+    assert LinkCapsules(model).radius > 0.0
+    assert best_rows(still, model, 320, 90) in (1, 2)
+
+
+def test_nothing_that_moves_has_a_place_for_the_camera_too():
+    text = "<mujoco><worldbody><site/></worldbody></mujoco>"
+    still = replace(film()[0], mjcf=text, path_qpos=np.zeros((2, 0)), path_ghost_qpos=np.zeros((2, 0)))
+    model = compile_model(text, {})
+    assert whole_motion([still], model, still.appearance, 1.5, ghost=True)[1] > 0.0
 
 
 def test_the_floor_is_below_the_lowest_pose_or_at_zero_and_only_where_there_is_none():

@@ -23,6 +23,7 @@ _MARGIN, _NARROW_MARGIN = 1.25, 1.06  # the picture's half sizes over the motion
 # picture ends, above and below. Its caption begins at 0.71 (overlay.py).
 _LOWER, _TOP, _BOTTOM = 0.15, 0.8, 0.69
 MARGIN = 0.05  # around what moves, in parts of its largest side
+_POINT = 1e-3  # m: least side of what is seen of a machine that is a point
 _ASTRAY = 0.5  # how far a replay that leaves the plan is followed, in largest sides of the plan's box
 
 
@@ -108,9 +109,10 @@ def swept_points(model: Any, path: np.ndarray, scenery: np.ndarray) -> np.ndarra
         mujoco.mj_kinematics(model, data)
         swept += [boxes.at(data), data.xpos[bodies], capsules.ends(data)]
     points = np.concatenate([np.reshape(one, (-1, 3)) for one in swept])
-    if len(points):
+    if len(points) and np.any(np.ptp(points, axis=0)):
         return points
-    return model.stat.center + 0.5 * model.stat.extent * np.array([[-1.0] * 3, [1.0] * 3])  # nothing but a world
+    middle = points[0] if len(points) else model.stat.center  # a point that stays, or nothing but a world
+    return middle + 0.5 * max(model.stat.extent, _POINT) * np.array([[-1.0] * 3, [1.0] * 3])
 
 
 def _carrying(model: Any) -> np.ndarray:
