@@ -26,6 +26,7 @@ from planner.base.errors import FileError, PlannerError
 from planner.base.files import PathLike, file_error, write_atomically
 from planner.model.mjcf.model_index import compile_model
 from planner.problem.default_appearance import appearance_of
+from planner.proof.original_model import OPEN_LOOP_MISSES
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.style import MODE_WORDS
 from planner.view.render.camera import angles_of_camera, scenery_of, swept_points
@@ -110,8 +111,8 @@ def render_video(
 
 
 def one_replay_shows_both(proof: Proof) -> bool:
-    """Whether both replays of a proof pass or both fail, and no point of the machine is visibly apart in them."""
-    if proof.refined_open_loop.passed != proof.refined_feedback.passed:
+    """Whether both modes of a proof pass or both fail, and no point of the machine is visibly apart in them."""
+    if len({_reproduces(proof, mode) for mode in MODE_WORDS}) > 1:
         return False
     one, other = (Film.of(proof.replays[mode], np.zeros(1)) for mode in MODE_WORDS)
     if math.isfinite(min(one.unstable, other.unstable)):
@@ -122,18 +123,31 @@ def one_replay_shows_both(proof: Proof) -> bool:
     return screen_difference(first, second) <= _UNSEEN * float(np.ptp(first, axis=0).max())
 
 
+def _reproduces(proof: Proof, mode: str) -> bool:
+    """Whether this mode alone would do; the first that does is the proof's."""
+    return mode == proof.mode or (mode == "feedback" and proof.mode == "open-loop" and not proof.lost_with_gains)
+
+
 def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
     """The replays of a proof, open loop first, with the words under each; one for both where they look the same."""
     if one_replay_shows_both(proof):
-        verdict = "PASS" if proof.mode else "" if proof.refined_open_loop.passed else "FAIL"
-        return {proof.replays["open-loop"]: Caption("open loop, and with gains the same", verdict)}
-    sections = {"open-loop": proof.refined_open_loop, "feedback": proof.refined_feedback}
-    captioned: dict[Replay, Caption | None] = {}
-    for mode, words in MODE_WORDS.items():
-        replay = proof.replays[mode]
-        verdict = "PASS" if mode == proof.mode else "" if sections[mode].passed else "FAIL"
-        captioned[replay] = Caption(words, verdict)
-    return captioned
+        caption = _caption(proof, proof.mode or "open-loop")
+        return {proof.replays["open-loop"]: caption._replace(mode="open loop, and with gains the same")}
+    return {proof.replays[mode]: _caption(proof, mode) for mode in MODE_WORDS}
+
+
+def _caption(proof: Proof, mode: str) -> Caption:
+    """What the verdict says about one mode, and why it fails where the picture hardly shows that."""
+    sections, reproduces = proof.sections, _reproduces(proof, mode)
+    if reproduces and proof.passed:
+        return Caption(MODE_WORDS[mode], "PASS" if mode == proof.mode else "")
+    why = ""
+    if reproduces:
+        why = "not optimal"
+    elif mode == "open-loop" and proof.mode == "feedback" and sections["refined_open_loop"].passed:
+        in_file = any(one.name == OPEN_LOOP_MISSES and one.value for one in sections["your_file"].measured)
+        why = "in your file" if in_file else "goal" if sections["order"].passed else "step convergence"
+    return Caption(MODE_WORDS[mode], "FAIL", why)
 
 
 def render_strip(
