@@ -87,11 +87,34 @@ def video_player(source: str) -> str:
     )
 
 
-def verdict_box(word: str, passed: bool, words: str, more: str = "", *, warns: bool = False) -> str:
-    """The verdict in its colour with words beside it, as text, and `more` below, as HTML."""
+def verdict_box(word: str, passed: bool, words: str, *, warns: bool = False) -> str:
+    """The verdict in its colour with words beside it."""
     span = f"<span>{escape(words)}</span>" if words else ""
     kind = "warn" if warns else "pass" if passed else "fail"
-    return f'<div class="verdict {kind}" role="status"><strong>{escape(word)}</strong>{span}{more}</div>'
+    return f'<div class="verdict {kind}" role="status"><strong>{escape(word)}</strong>{span}</div>'
+
+
+def first_screen(verdict: str, motion: str, notes: str) -> str:
+    """What is seen at once, of HTML: the verdict, and below it the motion and the notes, side by side where wide."""
+    return (
+        f'<div class="first">\n{verdict}\n<div class="motion">\n{motion}\n</div>\n'
+        f'<div class="notes">\n{notes}\n</div>\n</div>'
+    )
+
+
+def short_paragraph(label: str, text: str, most: int) -> str:
+    """A paragraph; what exceeds so many letters is folded, from a word on. Words in `` are code."""
+    head = f"<b>{escape(label)}:</b> " if label else ""
+    if len(text) <= most:
+        return f"<p>{head}{_with_code(text)}</p>"
+    cut = max(text.rfind(" ", 0, most), 0) or most
+    if text.count("`", 0, cut) % 2:  # within code
+        cut = text.rfind("`", 0, cut)
+    return f'<details class="long"><summary>{head}{_with_code(text[:cut])}</summary>{_with_code(text[cut:])}</details>'
+
+
+def _with_code(text: str) -> str:
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def table(rows: dict[str, Any]) -> str:

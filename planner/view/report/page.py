@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import base64
 import math
-import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,7 +27,17 @@ from planner.view.plots.case_pictures import case_pictures
 from planner.view.render.video import one_replay_shows_both
 from planner.view.report.assessment import assessment
 from planner.view.report.curves import interactive
-from planner.view.report.markup import measured_table, number, script, table, verdict_box, video_player, write_page
+from planner.view.report.markup import (
+    first_screen,
+    measured_table,
+    number,
+    script,
+    short_paragraph,
+    table,
+    verdict_box,
+    video_player,
+    write_page,
+)
 from planner.view.report.view_3d import view_3d
 
 if TYPE_CHECKING:
@@ -39,6 +48,7 @@ if TYPE_CHECKING:
 
 
 NAME = "report.html"
+FOLDED = 260  # letters of a note on the first screen: what is beyond is folded
 _EMBEDDED = 16e6  # bytes of the largest film within the page
 
 CURVES = "plots.png"
@@ -72,11 +82,10 @@ def write_report(
         _refinement(path), _solver(plan), _parameters(plan), _chosen(plan), _again(plan, proof, path, options or {}),
         "<h2>Made with</h2>\n" + table(plan.versions), _model(plan),
     ]  # fmt: skip
+    motion = "\n".join(filter(None, [_film(plan, proof, folder, video_note), _view(plan, proof)]))
     parts = [
         f"<h1>{escape(title)}</h1>",
-        _verdict(plan, proof, fixes),
-        _film(plan, proof, folder, video_note),  # people look before they read
-        _view(plan, proof),
+        first_screen(_verdict(proof), motion, _notes(plan, proof, fixes)),
         _folded("Curves", curves),
         _folded("Pictures", _pictures(plan, proof, folder, with_curves=not curves)),
         _folded("Proof", "" if proof is None else assessment(plan, proof)),
@@ -95,33 +104,47 @@ def _word(proof: Proof | None) -> str:
     return "FAIL" if proof is None else proof.verdict
 
 
-def _verdict(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> str:
+def _verdict(proof: Proof | None) -> str:
+    if proof is None:
+        return verdict_box("FAIL", False, "")
+    grade = str(getattr(proof, "robustness", ""))
+    word = f"{proof.verdict}, {grade}" if grade and ":" not in grade else proof.verdict
+    mode = f"({proof.mode}); " if proof.passed and proof.mode else ""
+    return verdict_box(word, proof.passed, mode + proof.results, warns=proof.misleads)
+
+
+def _notes(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> str:
+    """What led to the verdict, what to write so that the plan passes, what the verdict does not cover."""
     if proof is not None:
-        reason, words = proof.reason, proof.headline.removeprefix(proof.verdict).strip(" ;,")
+        reason = proof.reason
     elif math.isfinite(plan.cost):
-        reason, words = "The plan was not replayed in MuJoCo, so nothing is proven.", ""
+        reason = "The plan was not replayed in MuJoCo, so nothing is proven."
     else:
-        reason, words = "There is no finite plan that could be replayed.", ""
-    doubt = "" if plan.converged else f"<p>The solver did not converge: {escape(plan.message)}</p>"
-    advice = re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(" Or: ".join(map(str, fixes))))
-    to_pass = f"<p>To pass: {advice}</p>" if fixes else ""
-    more = f"<p>{escape(reason)}</p>{to_pass}{doubt}{_unchecked(proof)}"
-    grade = "" if proof is None else str(getattr(proof, "robustness", ""))
-    word = f"{_word(proof)}, {grade}" if grade and ":" not in grade else _word(proof)
-    return verdict_box(word, _word(proof) == "PASS", words, more, warns=proof is not None and proof.misleads)
-
-
-def _unchecked(proof: Proof | None) -> str:
-    """Features that the plan's model lacks, and claims that the verdict does not make."""
-    sentences = []
-    if proof is not None and proof.planned_without:
-        lacking = " and ".join(proof.planned_without)
-        sentences.append(f"The plan was made without {lacking}; the replay in your file (step 6) had all of it.")
-    if proof is not None and proof.not_checked:
-        sentences.append(f"Beside the verdict: {'; '.join(proof.not_checked)}.")
+        reason = "There is no finite plan that could be replayed."
+    notes = [("", reason)]
+    for k, fix in enumerate(fixes):
+        label = (
+            "Or" if k else "To pass" if getattr(fix, "written", "") else ""
+        )  # without a change it says why none helps
+        notes.append((label, str(fix)))
+    if not plan.converged and not fixes:  # a finding says more than the solver's own words, which may contradict it
+        notes.append(("The solver did not converge", plan.message))
     if proof is not None:
-        sentences.append("Not checked: whether the model is the machine (see Validation under Proof).")
-    return "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
+        if proof.remarks:
+            notes.append(("Beside the verdict", f"{'; '.join(proof.remarks)}."))
+        notes.append(("Not checked", f"{'; '.join(_unchecked(proof))}."))
+    return "\n".join(short_paragraph(label, text, FOLDED) for label, text in notes)
+
+
+def _unchecked(proof: Proof) -> Iterator[str]:
+    """What no step of the proof has measured, a phrase each: the sections that were not run, and why not."""
+    yield "whether the model is the machine (see Validation under Proof)"
+    titles: dict[str, list[str]] = {}
+    for section in proof.sections.values():
+        if section.not_applicable:
+            titles.setdefault(section.not_applicable.rstrip("."), []).append(section.title)
+    for reason, those in titles.items():
+        yield f"{', '.join(those)} ({reason})"
 
 
 def _film(plan: Plan, proof: Proof | None, folder: Path, note: str) -> str:
@@ -133,7 +156,7 @@ def _film(plan: Plan, proof: Proof | None, folder: Path, note: str) -> str:
         appearance = appearance_of(plan.problem)
         ghost = "plan" if appearance.ghost is None else appearance.ghost.label
         goals = "; goals as balls, axes and arrows" if appearance.goals else ""
-        alike = proof is not None and hasattr(proof, "refined_open_loop") and one_replay_shows_both(proof)
+        alike = proof is not None and one_replay_shows_both(proof)
         sides = (
             "open loop; with the plan's gains it looks the same" if alike
             else "at the left open loop, at the right with the plan's gains"
