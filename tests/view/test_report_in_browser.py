@@ -15,7 +15,7 @@ from PIL import Image
 from planner.view.plots.plan import draw_plan
 from planner.view.plots.proof import draw_proof
 from planner.view.plots.style import save
-from planner.view.render.video import Encoder
+from planner.view.render.encoder import Encoder
 from planner.view.report.page import write_report
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

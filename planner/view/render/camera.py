@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import short_repr
+from planner.base.arguments import array, short_repr
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.appearance import Appearance
@@ -154,6 +154,21 @@ def directions(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray
     return ahead, np.cross(ahead, up), up
 
 
+def checked_direction(camera: Any) -> tuple[float, float]:
+    """Azimuth and elevation, degrees, of a camera that is given by its line of sight.
+
+    Raises:
+        PlannerError: They are no two numbers, or nothing looks up or down so far.
+    """
+    azimuth, elevation = map(float, array("camera", camera, (2,)))
+    if abs(elevation) > 90.0:
+        raise PlannerError(
+            f"camera is {azimuth:g},{elevation:g}, expected azimuth and elevation, the latter from -90 (down) to 90 "
+            "(up) degrees, e.g. 90,-15."
+        )
+    return azimuth, elevation
+
+
 def angles_of_camera(model: Any, name: str) -> tuple[float, float]:
     """Azimuth and elevation, degrees, in which a camera of the model looks in its home pose.
 
@@ -163,7 +178,8 @@ def angles_of_camera(model: Any, name: str) -> tuple[float, float]:
     mujoco = load_mujoco()
     names = [model.camera(i).name for i in range(model.ncam)]
     if name not in names:
-        known = f"one of: {', '.join(names)}, or azimuth and elevation" if names else "azimuth and elevation, degrees"
+        known = f"one of: {', '.join(names)}, or " if names else ""
+        known += "azimuth and elevation, degrees, e.g. 90,-15"
         raise PlannerError(f"the model has no camera {short_repr(name)}, expected {known}.")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
