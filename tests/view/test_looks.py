@@ -136,6 +136,27 @@ def test_the_floor_is_below_the_lowest_pose_or_at_zero_and_only_where_there_is_n
     assert floor_of(film(world=wall, **made)[1]) is not None
 
 
+LAMP, FLOOR = '<light pos="0 0 3"/>', '<geom name="own" type="plane" size="3 3 .1" {}/>'
+
+
+def test_a_floor_that_nobody_painted_is_no_black_square_under_a_weak_light():
+    model = film(world=LAMP + FLOOR.format(""))[1]
+    assert floor_of(model) is None  # it is the machine's own
+    assert model.geom("own").matid == model.material("planner paving").id
+    np.testing.assert_array_equal(model.geom("own").size[:2], 0.0)  # to the horizon
+    assert model.vis.headlight.ambient.min() >= 0.3
+    for own in ('rgba=".1 .2 .3 1"', 'euler="0 80 0"'):  # painted; a wall
+        stays = film(world=LAMP + FLOOR.format(own))[1].geom("own")
+        assert stays.matid == -1
+        assert stays.size[0] == 3.0
+
+
+def test_light_that_the_file_gives_stays():
+    text = ARM.format(world=LAMP, upper=MASS, fore=MASS, height=0.5)
+    dark = text.replace("<mujoco>", '<mujoco><visual><headlight ambient=".02 .02 .02"/></visual>')
+    np.testing.assert_allclose(visible_model([replace(film()[0], mjcf=dark)]).vis.headlight.ambient, 0.02)
+
+
 def test_no_film_of_a_plan_goes_through_the_floor_and_none_is_laid_under_one_that_fell_away():
     made, _ = film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))
     missed = replace(made, path_qpos=np.array([[0.0, 0.0], [np.pi, 0.0], [0.0, 0.0]]))

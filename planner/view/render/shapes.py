@@ -303,10 +303,15 @@ class BoxCorners:
 def paint_links(model: Any) -> None:
     """Give links two colours in turn where no moving shape has a colour of its own."""
     shapes = np.flatnonzero(moving(model))
-    if not np.all((model.geom_matid[shapes] < 0) & np.all(model.geom_rgba[shapes] == _UNPAINTED, axis=1)):
+    if not np.all(unpainted(model)[shapes]):
         return
     for geom in shapes:
         model.geom_rgba[geom] = _PAINTS[_depth(model, int(model.geom_bodyid[geom])) % 2]
+
+
+def unpainted(model: Any) -> np.ndarray:
+    """Mask (ngeom,) of the shapes without a material or a colour of their own."""
+    return (model.geom_matid < 0) & np.all(model.geom_rgba == _UNPAINTED, axis=1)
 
 
 def _depth(model: Any, body: int) -> int:
