@@ -106,12 +106,12 @@ def _check_length(seconds: float, fps: float, speed: float) -> None:
     plays, most = seconds / speed, max(seconds, _MAX_SECONDS)
     if plays > most:
         raise PlannerError(
-            f"{seconds:g} s at speed {speed:g} play for {plays:.4g} s, {plays * fps:.4g} frames; expected at most "
+            f"{seconds:g} s at speed {speed:g} play for {plays:.4g} s, {plays * fps:,.0f} frames; expected at most "
             f"{most:g} s: a speed of {math.ceil(1e4 * seconds / most) / 1e4:g} or more."
         )
     if not plays * fps <= _MAX_FRAMES:
         raise PlannerError(
-            f"{seconds:g} s at speed {speed:g} and {fps:g} fps are {plays * fps:.4g} frames, expected at most "
+            f"{seconds:g} s at speed {speed:g} and {fps:g} fps are {plays * fps:,.0f} frames, expected at most "
             f"{_MAX_FRAMES}: fps of {math.floor(_MAX_FRAMES / plays)} or less."
         )
 
