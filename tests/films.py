@@ -63,11 +63,11 @@ def decode(path, width, height):
     return np.frombuffer(done.stdout, np.uint8).reshape(-1, height, width, 3), done.stderr.decode()
 
 
-def make_proof(open_loop, gains, mode="feedback"):
-    def section(replay, passed):
-        return Section("refined", (Measurement("end_state_error", 0.0 if passed else 1.0, "", 0.5),))
-
+def make_proof(open_loop, gains, mode="feedback", *, passed=True, lost_with_gains=(), **failing):
+    """A proof in which a mode passed; sections named in `failing` fail."""
+    names = ("refined_open_loop", "refined_feedback", "order", "your_file")
+    sections = {name: Section(name, (Measurement("error", float(name in failing), "", 0.5),)) for name in names}
     return SimpleNamespace(
-        mode=mode, replay=gains, replays={"open-loop": open_loop, "feedback": gains},
-        refined_open_loop=section(open_loop, mode == "open-loop"), refined_feedback=section(gains, mode is not None),
+        mode=mode, passed=passed and mode is not None, replay=gains, lost_with_gains=lost_with_gains,
+        replays={"open-loop": open_loop, "feedback": gains}, sections=sections,
     )  # fmt: skip

@@ -77,7 +77,7 @@ class Renderable(Plottable):
     """A result with a plot and a film."""
 
     def film(self, path: str | Path, **options: Any) -> Path:
-        """Write a film, .mp4 or .gif; options are those of planner.render_video: width, height, fps, speed, progress.
+        """Write a film, .mp4, .gif or .apng; options are those of planner.render_video: width, height, fps, speed, ...
 
         Raises:
             PlannerError: As render_video.

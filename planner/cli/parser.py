@@ -163,7 +163,8 @@ def _prove(parser: argparse.ArgumentParser) -> None:
 def _render(parser: argparse.ArgumentParser) -> None:
     add(
         parser, _PLAN,
-        {"--out": value_flag("FILE", "The name of a film, .mp4 or .gif, or of a strip of poses, .png.", "video.mp4"),
+        {"--out": value_flag("FILE", "The name of a film, .mp4, .gif or .apng, or of a strip of poses, .png.",
+                             "video.mp4"),
          "--fps": value_flag("N", "Frames per second.", 30, counted),
          "--speed": value_flag("X", "Playback speed, e.g. 0.25. Default: the case's.", kind=number)},
         LOOKS, ROLLOUT, IMPORTS, COMMON,

@@ -25,7 +25,8 @@ def render_plan(arguments: argparse.Namespace, console: Console) -> int:
     """Film both replays of a stored plan, or one perturbed simulation."""
     from planner.cli.proving import rollout_of
     from planner.cli.results import checked_looks
-    from planner.view.render.video import FILMS, render_strip, render_video
+    from planner.view.render.encoder import FILMS
+    from planner.view.render.video import render_strip, render_video
 
     out = Path(arguments.out)
     if out.suffix not in (*FILMS, ".png"):

@@ -51,16 +51,18 @@ def checked_looks(arguments: argparse.Namespace, twin: Twin | None, *, film: boo
     Where it is no `film` but a strip, also whether that is transparent, as arguments of render_strip.
 
     Raises:
-        PlannerError: A size that no film can have, or a camera that the model does not have.
+        PlannerError: A size or a direction that no film can have, or a camera that the model does not have.
     """
-    from planner.view.render.camera import angles_of_camera
+    from planner.view.render.camera import angles_of_camera, checked_direction
     from planner.view.render.video import check_size
 
     looks: dict[str, Any] = {"camera": arguments.camera} | ({} if film else {"transparent": arguments.transparent})
     if arguments.size is not None:
         looks |= dict(zip(("width", "height"), arguments.size, strict=True))
         check_size(*arguments.size, even=film)
-    if isinstance(arguments.camera, str) and twin is not None:
+    if isinstance(arguments.camera, tuple):
+        checked_direction(arguments.camera)
+    elif arguments.camera is not None and twin is not None:
         angles_of_camera(compile_model(twin.mjcf, twin.assets), arguments.camera)
     return looks
 

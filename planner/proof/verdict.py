@@ -127,11 +127,8 @@ class Proof(Renderable):
         return self._graded(JUDGED, share)
 
     @property
-    def headline(self) -> str:
-        """The verdict, the elements not tested, and whether the plan is feasible, optimal and robust."""
-        mode = f" ({self.mode})" if self.passed and self.mode else ""
-        tested = f", planned without {' and '.join(self.planned_without)} ({TESTED})" if self.planned_without else ""
-        without = tested + "".join(f", {phrase}" for phrase in self.not_checked)
+    def results(self) -> str:
+        """Whether the plan is feasible, optimal and robust, in words."""
         unknown = " (curvature not checked)" if curvature_unknown(self.sections["optimality"].measured) else ""
         words = [
             "feasible" if self.feasible else "not feasible",
@@ -139,7 +136,19 @@ class Proof(Renderable):
         ]
         if "cut" in (options := self.replay.plan.options):
             words.append(f"cut by its {options['cut']}")
-        return f"{self.verdict}{mode}{without}; {', '.join([*words, *filter(None, [self._grade_words])])}"
+        return ", ".join([*words, *filter(None, [self._grade_words])])
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the verdict does not cover, a phrase each: elements not planned with or not tested, goals not judged."""
+        tested = f"planned without {' and '.join(self.planned_without)} ({TESTED})" if self.planned_without else ""
+        return tuple(filter(None, (tested, *self.not_checked)))
+
+    @property
+    def headline(self) -> str:
+        """The verdict, the remarks, and whether the plan is feasible, optimal and robust."""
+        mode = f" ({self.mode})" if self.passed and self.mode else ""
+        return f"{', '.join([self.verdict + mode, *self.remarks])}; {self.results}"
 
     @property
     def passed(self) -> bool:

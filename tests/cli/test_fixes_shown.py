@@ -30,7 +30,7 @@ def test_a_fail_says_what_to_write(failed, capsys, tmp_path):
     assert (stored[0]["key"], stored[0]["code"], stored[0]["sentence"]) == ("duration", found[0].code, str(found[0]))
     assert stored == json.loads(json.dumps([one.to_dict() for one in found]))
     draw_results(plan, proof, tmp_path, found, False, Console(quiet=True))
-    assert "To pass: <code>RigidBodyDynamics" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<b>To pass:</b> <code>RigidBodyDynamics" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_plan_that_was_not_replayed_has_fixes_too(failed):

@@ -7,12 +7,13 @@ import pytest
 
 from planner.base.gl import load_mujoco
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.model_index import compile_model
 from planner.problem.appearance import Appearance, GoalMark
 from planner.problem.default_appearance import MAX_CURVES, small_multiples
 from planner.view.render.camera import directions, swept_box, whole_motion
 from planner.view.render.environment import visible_model
 from planner.view.render.film import Film
-from planner.view.render.scene import Scene
+from planner.view.render.scene import Scene, best_rows
 from planner.view.render.shapes import LinkCapsules, drawn
 from planner.view.render.video import render_poses
 
@@ -91,6 +92,30 @@ def test_links_without_shapes_are_sticks_from_joint_to_joint():
     assert len(LinkCapsules(film(upper=box("a", 0, SEEN), fore=box("b", 0, SEEN))[1]).ends(data)) == 0
 
 
+@pytest.mark.parametrize("joint", ["hinge", "slide", "ball", "free"])
+def test_a_machine_that_is_a_point_is_a_rod_of_its_inertia_and_has_a_place_for_the_camera(joint):
+    """A rod of the mass 3 kg and the length 2 m has the moment of inertia 1 kg m^2 about its middle."""
+    text = f"""<mujoco><worldbody><body><joint type="{joint}" axis="0 1 0"/>
+      <inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/></body></worldbody></mujoco>"""
+    mechanism = Mechanism.from_mjcf(text)
+    still = Film.of_poses(mechanism, dict.fromkeys(["one", "the same"], compile_model(text, {}).qpos0))
+    model = visible_model([still])
+    data = load_mujoco().MjData(model)
+    load_mujoco().mj_kinematics(model, data)
+    start, end = LinkCapsules(model).ends(data)
+    np.testing.assert_allclose(np.linalg.norm(end - start), 2.0)
+    assert abs((end - start)[1]) < 1e-9 or joint in ("ball", "free")
+    assert LinkCapsules(model).radius > 0.0
+    assert best_rows(still, model, 320, 90) in (1, 2)
+
+
+def test_nothing_that_moves_has_a_place_for_the_camera_too():
+    text = "<mujoco><worldbody><site/></worldbody></mujoco>"
+    still = replace(film()[0], mjcf=text, path_qpos=np.zeros((2, 0)), path_ghost_qpos=np.zeros((2, 0)))
+    model = compile_model(text, {})
+    assert whole_motion([still], model, still.appearance, 1.5, ghost=True)[1] > 0.0
+
+
 def test_the_floor_is_below_the_lowest_pose_or_at_zero_and_only_where_there_is_none():
     """The machine is 0.8 m long and hangs or stands at a joint at 0.5 m."""
     made = {"upper": box("a", 0, SEEN), "fore": box("b", 0, SEEN)}
@@ -109,6 +134,27 @@ def test_the_floor_is_below_the_lowest_pose_or_at_zero_and_only_where_there_is_n
     assert floor_of(film(world=plane.format(".1 .1 1", 1), **made)[1]) is not None  # a tile
     wall = plane.format("0 0 1", 1).replace("<geom", '<geom zaxis="1 0 0"')
     assert floor_of(film(world=wall, **made)[1]) is not None
+
+
+LAMP, FLOOR = '<light pos="0 0 3"/>', '<geom name="own" type="plane" size="3 3 .1" {}/>'
+
+
+def test_a_floor_that_nobody_painted_is_no_black_square_under_a_weak_light():
+    model = film(world=LAMP + FLOOR.format(""))[1]
+    assert floor_of(model) is None  # it is the machine's own
+    assert model.geom("own").matid == model.material("planner paving").id
+    np.testing.assert_array_equal(model.geom("own").size[:2], 0.0)  # to the horizon
+    assert model.vis.headlight.ambient.min() >= 0.3
+    for own in ('rgba=".1 .2 .3 1"', 'euler="0 80 0"'):  # painted; a wall
+        stays = film(world=LAMP + FLOOR.format(own))[1].geom("own")
+        assert stays.matid == -1
+        assert stays.size[0] == 3.0
+
+
+def test_light_that_the_file_gives_stays():
+    text = ARM.format(world=LAMP, upper=MASS, fore=MASS, height=0.5)
+    dark = text.replace("<mujoco>", '<mujoco><visual><headlight ambient=".02 .02 .02"/></visual>')
+    np.testing.assert_allclose(visible_model([replace(film()[0], mjcf=dark)]).vis.headlight.ambient, 0.02)
 
 
 def test_no_film_of_a_plan_goes_through_the_floor_and_none_is_laid_under_one_that_fell_away():

@@ -13,7 +13,7 @@ from fake_plans import make_plan, make_proof
 
 import planner
 from planner.view.plots.time_series import sides_of
-from planner.view.render.video import Encoder
+from planner.view.render.encoder import Encoder
 from planner.view.report import page as page_module
 from planner.view.report.curves import HEIGHT, WIDTH, interactive, thinned
 from planner.view.report.page import write_report

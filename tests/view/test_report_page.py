@@ -1,17 +1,15 @@
-"""The page of a plan: whole, in order, escaped, and seen by a browser without a network."""
+"""The page of a plan: whole, in order, and escaped."""
 
 import base64
 import math
 import re
-import shutil
-import subprocess
 from dataclasses import replace
-from html.parser import HTMLParser
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from fake_plans import make_plan, make_proof, proof_of
+from pages import Page, page_of
 from PIL import Image
 
 from planner import cases
@@ -23,15 +21,10 @@ from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance
 from planner.problem.plan import Start, Status
 from planner.problem.problem_parts import Recipe
+from planner.proof.diagnostics.suggested_fix import SuggestedFix
 from planner.proof.repair.refinement import Refinement
-from planner.view.plots.plan import draw_plan
-from planner.view.plots.proof import draw_proof
-from planner.view.plots.style import save
-from planner.view.render.video import Encoder
+from planner.view.report.markup import split_after_word
 from planner.view.report.page import command, problem_text, write_report
-
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-with_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium: apt-get install chromium")
 
 
 @pytest.fixture
@@ -39,44 +32,13 @@ def plan():
     return make_plan()
 
 
-class Page(HTMLParser):
-    """Reads a page: its text, the sources of its media, its tags; fails when tags are not closed in order."""
-
-    VOID = frozenset({"meta", "img"})
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.tags, self.sources, self.words = [], [], [], []
-        self.feed(text)
-        self.close()
-        assert self.open == []
-        self.text = re.sub(r"\s+", " ", " ".join(self.words))
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.sources += [value for name, value in attrs if name in ("src", "href")]
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if "style" not in self.open:
-            self.words.append(data)
-
-
-def page_of(plan, proof, folder, note=""):
-    return Page(write_report(plan, proof, folder, note).read_text(encoding="utf-8"))
-
-
 def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path):
     Image.new("RGB", (4, 4)).save(tmp_path / "strip.png")
     text = page_of(plan, proof_of(), tmp_path, "Not asked for.").text
     expected = (
-        "PASS", "(open-loop), without friction loss; feasible, optimal, robust with its gains", "Within every bound.",
-        "Beside the verdict: without friction loss.", "Not checked: whether the model", "Video", "Not asked for.",
-        "Pictures", "Proof", "Code verification",
+        "PASS", "(open-loop); feasible, optimal, robust with its gains", "Video", "Not asked for.",
+        "Within every bound.", "Beside the verdict: without friction loss.", "Not checked: whether the model",
+        "same step (Contact <is> solved otherwise)", "Pictures", "Proof", "Code verification",
         "Mass matrix", "3e-14", "≤ 1e-10", "pass", "Contact <is> solved otherwise.", "Solution verification",
         "0.002 in", "1.5 1/s", "shown", "Validation", "No experiment was made", "Solver",
         Status.CONVERGED.value, "Parameters of the case spring", "height", "20", "rk4", "0.1.0",
@@ -90,11 +52,49 @@ def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path
 
 def test_the_first_screen_has_verdict_and_film_and_the_rest_is_folded(plan, tmp_path):
     text = write_report(plan, proof_of(), tmp_path).read_text(encoding="utf-8")
-    first, _, rest = text[text.index("<body>") :].partition("<details")
+    first, _, _ = text[text.index("<body>") :].partition('<details class="part"')
     assert all(words in first for words in ("PASS", "robust with its gains", "Not checked", "No video was made"))
     assert not any(words in first for words in ("<svg", "<table"))
-    folded = re.findall(r'class="part"><summary>([^<]*)', rest)
+    folded = re.findall(r'class="part"><summary>([^<]*)', text)
     assert folded == ["Curves", "Proof", "How it was made"]
+
+
+def test_the_page_names_every_section_that_was_not_run_and_says_nothing_twice(plan, tmp_path):
+    asked, late = "it was not asked for", "the solve did not succeed."
+    proof = proof_of(
+        perturbed=Section("robustness", not_applicable=late), hold=Section("hold", not_applicable=asked),
+        another_ground=Section("contact sensitivity", not_applicable=late),
+    )  # fmt: skip
+    proof.remarks = ("without a thing of the file",)
+    first = page_of(plan, proof, tmp_path).text.split("Code verification")[0]
+    assert "; robustness, contact sensitivity (the solve did not succeed); hold (it was not asked for)." in first
+    assert first.count("without a thing of the file") == first.count("Within every bound.") == 1
+
+
+def test_a_finding_stands_in_the_place_of_the_solvers_own_words(plan, tmp_path):
+    """Which may contradict it: no duration helps, and give it more time."""
+    failed = replace(plan, status=Status.INFEASIBLE)
+    change = SuggestedFix("slow", {}, key="duration", value=2.0, written="duration = 2.0")
+    cause = SuggestedFix("no duration", {})
+    sentences = {"slow": "it needs 2 s", "no duration": "No duration helps."}
+    for fixes, expected in (([change, cause], "To pass: duration = 2.0: it needs 2 s Or: No"), ([cause], "bound. No")):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(SuggestedFix, "text", lambda own, _: sentences[own.code])
+            page = Page(write_report(failed, proof_of("FAIL"), tmp_path, fixes=fixes).read_text(encoding="utf-8"))
+        assert expected in page.text
+        first = page.text.split("Code verification")[0]
+        assert failed.message not in first
+        assert failed.message in page.text  # under how it was made
+    assert f"The solver did not converge: {failed.message}" in page_of(failed, proof_of("FAIL"), tmp_path).text
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [("short", ("short", "")), ("one two", ("one", " two")), ("unbroken", ("unbro", "ken")),
+     ("a `b c`", ("a ", "`b c`"))],
+)  # fmt: skip
+def test_what_is_long_is_folded_after_a_word(text, parts):
+    assert split_after_word(text, 5) == parts
 
 
 def test_a_figure_beyond_its_bound_is_marked_by_word_and_colour(plan, tmp_path):
@@ -126,7 +126,7 @@ def test_pictures_and_video_are_embedded_byte_for_byte(plan, tmp_path):
     data = {"video.mp4": bytes(range(256)), "strip.png": b"strip", "plots.png": b"plots", "proof.png": b"proof"}
     for name, content in data.items():
         (tmp_path / name).write_bytes(content)
-    page = page_of(plan, proof_of(), tmp_path, note="never shown")
+    page = page_of(plan, make_proof(plan), tmp_path, note="never shown")
     embedded = [source.partition(";base64,") for source in page.sources]
     assert [kind for kind, _, _ in embedded] == ["data:video/mp4"] + ["data:image/png"] * 2
     shown = [data[name] for name in ("video.mp4", "strip.png", "proof.png")]  # the page draws the curves of plots.png
@@ -297,73 +297,3 @@ def test_seeds_are_named(plan, tmp_path):
     text = page_of(plan, make_proof(plan), tmp_path).text
     assert "Rollouts 40 in each mode; varied: mass 5 %" in text
     assert "Seed of the rollouts 7" in text
-
-
-# In a browser
-
-SLIDES = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
-  <joint type="slide"/><joint type="slide" axis="1 0 0"/></body></worldbody></mujoco>"""
-
-
-def browse(page, *flags):
-    """What Chromium prints and logs; it cannot reach any network."""
-    command = [
-        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--enable-logging=stderr",
-        "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={page.parent / 'profile'}", *flags, page.as_uri(),
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=True)
-    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory):
-    """A whole page, with a film of three grey frames."""
-    plan, tmp_path = make_plan(), tmp_path_factory.mktemp("page")
-    plan = replace(plan, twin=replace(plan.twin, mjcf=SLIDES))
-    proof = make_proof(plan)
-    save(draw_plan(plan, proof), tmp_path / "plots.png")
-    save(draw_proof(proof), tmp_path / "proof.png")
-    Image.new("RGB", (192, 54), "steelblue").save(tmp_path / "strip.png")
-    with Encoder(tmp_path / "video.mp4", 64, 36, 10, "video.mp4") as encoder:
-        for grey in (60, 120, 180):
-            encoder.write(np.full((36, 64, 3), grey, np.uint8))
-    return write_report(plan, proof, tmp_path)
-
-
-@with_browser
-def test_a_browser_shows_the_verdict_and_complains_of_nothing(page):
-    dom, console = browse(page, "--dump-dom")
-    assert console == []
-    assert re.search(r'<div class="verdict pass"[^>]*><strong>PASS</strong><span>\(open-loop\), without', dom)
-    assert dom.count("<img ") == 3
-    assert dom.count("<video ") == 1
-
-
-@with_browser
-def test_the_test_would_see_what_a_browser_complains_of(tmp_path):
-    (tmp_path / "broken.html").write_text("<script>console.error('broken'); nothing()</script>")
-    _, console = browse(tmp_path / "broken.html", "--dump-dom")
-    assert any("broken" in line for line in console)
-    assert any("nothing is not defined" in line for line in console)
-
-
-@with_browser
-@pytest.mark.parametrize(("width", "flag"), [(1100, ""), (390, "--force-dark-mode")])
-def test_the_verdict_is_seen_first_in_light_and_in_dark(page, tmp_path, width, flag):
-    shot = tmp_path / "shot.png"
-    _, console = browse(page, f"--window-size={width},4000", f"--screenshot={shot}", *filter(None, [flag]))
-    assert console == []
-    picture = np.asarray(Image.open(shot).convert("RGB")).astype(int)
-    assert picture.shape == (4000, width, 3)
-    tint, paper = ((22, 48, 31), (23, 25, 28)) if flag else ((229, 244, 234), (255, 255, 255))
-    tinted = np.abs(picture - tint).max(axis=-1) <= 2
-    assert tinted[:400].sum() > 0.15 * width * 100  # the card of the verdict
-    assert not tinted[600:].any()
-    assert (np.abs(picture - paper).max(axis=-1) <= 2).mean() > 0.2
-    assert picture[1000:].std() > 10  # there is more than the verdict
-
-
-def test_the_page_asks_for_nothing_outside_itself(page):
-    text = page.read_text(encoding="utf-8")
-    assert all(source.startswith("data:") for source in Page(text).sources)
-    assert not re.search(r"url\(|@import|<link|<script[^>]* src|srcset|<iframe", text)

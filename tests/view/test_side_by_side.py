@@ -30,7 +30,7 @@ def run_away(replay, after=100, last=None):
 
 def test_captions_say_mode_and_verdict():
     off = make_replay(plan_offset=-0.25)
-    captions = list(_captioned(make_proof(off, make_replay())).values())
+    captions = list(_captioned(make_proof(off, make_replay(), refined_open_loop=True)).values())
     assert captions == [Caption("open loop", "FAIL"), Caption("with gains", "PASS")]
     away = list(_captioned(make_proof(run_away(make_replay()), make_replay(), None)).values())
     assert away == [Caption("open loop", "FAIL"), Caption("with gains", "FAIL")]
@@ -46,6 +46,19 @@ def test_two_that_look_the_same_are_one_picture():
     for offset, mode, verdict in ((0.0, "open-loop", "PASS"), (-0.25, None, "FAIL")):
         (caption,) = _captioned(make_proof(*(make_replay(plan_offset=offset) for _ in range(2)), mode)).values()
         assert caption == Caption(words, verdict)
+    (caption,) = _captioned(make_proof(make_replay(), make_replay(), "open-loop", passed=False)).values()
+    assert caption == Caption(words, "FAIL", "not optimal")
+
+
+@pytest.mark.parametrize(
+    ("failing", "why"), [({"order": True}, "step convergence"), ({"refined_open_loop": True}, ""), ({}, "goal")]
+)
+def test_two_that_look_the_same_of_which_one_fails_are_told_apart_and_say_why(failing, why):
+    """What fails the plan's controls alone may not be seen: the error of a step, a bound of a thousandth of a goal."""
+    captions = list(_captioned(make_proof(make_replay(), make_replay(), "feedback", **failing)).values())
+    assert captions == [Caption("open loop", "FAIL", why), Caption("with gains", "PASS")]
+    lost = list(_captioned(make_proof(make_replay(), make_replay(), "open-loop", lost_with_gains=("end",))).values())
+    assert lost == [Caption("open loop", "PASS"), Caption("with gains", "FAIL")]
 
 
 @pytest.mark.parametrize(("apart", "pictures"), [(0.2, 1), (0.6, 2)])  # in: 2.6 and 8 pixels of 500 for 38 in

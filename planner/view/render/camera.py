@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import short_repr
+from planner.base.arguments import array, short_repr
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.problem.appearance import Appearance
@@ -23,6 +23,7 @@ _MARGIN, _NARROW_MARGIN = 1.25, 1.06  # the picture's half sizes over the motion
 # picture ends, above and below. Its caption begins at 0.71 (overlay.py).
 _LOWER, _TOP, _BOTTOM = 0.15, 0.8, 0.69
 MARGIN = 0.05  # around what moves, in parts of its largest side
+_POINT = 1e-3  # m: least side of what is seen of a machine that is a point
 _ASTRAY = 0.5  # how far a replay that leaves the plan is followed, in largest sides of the plan's box
 
 
@@ -108,9 +109,10 @@ def swept_points(model: Any, path: np.ndarray, scenery: np.ndarray) -> np.ndarra
         mujoco.mj_kinematics(model, data)
         swept += [boxes.at(data), data.xpos[bodies], capsules.ends(data)]
     points = np.concatenate([np.reshape(one, (-1, 3)) for one in swept])
-    if len(points):
+    if len(points) and np.any(np.ptp(points, axis=0)):
         return points
-    return model.stat.center + 0.5 * model.stat.extent * np.array([[-1.0] * 3, [1.0] * 3])  # nothing but a world
+    middle = points[0] if len(points) else model.stat.center  # a point that stays, or nothing but a world
+    return middle + 0.5 * max(model.stat.extent, _POINT) * np.array([[-1.0] * 3, [1.0] * 3])
 
 
 def _carrying(model: Any) -> np.ndarray:
@@ -152,6 +154,21 @@ def directions(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray
     return ahead, np.cross(ahead, up), up
 
 
+def checked_direction(camera: Any) -> tuple[float, float]:
+    """Azimuth and elevation, degrees, of a camera that is given by its line of sight.
+
+    Raises:
+        PlannerError: They are no two numbers, or nothing looks up or down so far.
+    """
+    azimuth, elevation = map(float, array("camera", camera, (2,)))
+    if abs(elevation) > 90.0:
+        raise PlannerError(
+            f"camera is {azimuth:g},{elevation:g}, expected azimuth and elevation, the latter from -90 (down) to 90 "
+            "(up) degrees, e.g. 90,-15."
+        )
+    return azimuth, elevation
+
+
 def angles_of_camera(model: Any, name: str) -> tuple[float, float]:
     """Azimuth and elevation, degrees, in which a camera of the model looks in its home pose.
 
@@ -161,7 +178,8 @@ def angles_of_camera(model: Any, name: str) -> tuple[float, float]:
     mujoco = load_mujoco()
     names = [model.camera(i).name for i in range(model.ncam)]
     if name not in names:
-        known = f"one of: {', '.join(names)}, or azimuth and elevation" if names else "azimuth and elevation, degrees"
+        known = f"one of: {', '.join(names)}, or " if names else ""
+        known += "azimuth and elevation, degrees, e.g. 90,-15"
         raise PlannerError(f"the model has no camera {short_repr(name)}, expected {known}.")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -13,7 +13,7 @@ from planner.base import gl
 from planner.model.mjcf.model_index import compile_model
 from planner.view.render.camera import MARGIN, Box, scenery_of, swept_box
 from planner.view.render.film import Film
-from planner.view.render.shapes import drawn, geom_boxes, moving, paint_links, show_one_shape_for_each_part
+from planner.view.render.shapes import drawn, geom_boxes, moving, paint_links, show_one_shape_for_each_part, unpainted
 
 _CELL = 0.125  # of the machine's size, about: the side of the floor's squares
 _BELOW = 2e-3  # of the machine's size: how far our floor is below a shape that stands on it, or the two would flicker
@@ -23,6 +23,7 @@ _GONE = 10.0  # sizes of the machine: no floor is laid under a replay that fell 
 _LEVEL = 0.7  # upward part of the normal of a floor
 _LAMP_REACH = 3.0  # distance of our lamp, in sizes of the machine
 _LIT_BY_OTHERS, _GLOW = 0.6, 0.3  # brightness of our floor in others' light, which may glare, and without any
+_AMBIENT = 0.3  # where the model has light and does not say how much comes from everywhere: MuJoCo's 0.1 is night
 _COARSE = 10.0  # sizes of the machine: in a model as large as that, MuJoCo's map of shadows is too coarse for it
 
 _OURS = "planner {}"
@@ -64,6 +65,8 @@ def _furnished(film: Film) -> tuple[Any, int]:
     if lit:
         model.geom_rgba[ours, :3] = _LIT_BY_OTHERS
         model.mat_emission[model.geom_matid[ours]] = _GLOW
+        if root.find(".//visual/headlight") is None:
+            model.vis.headlight.ambient[:] = np.maximum(model.vis.headlight.ambient, _AMBIENT)
     else:
         lamp = model.light(_OURS.format("lamp")).id
         if hasattr(model, "light_type"):  # since MuJoCo 3.3.3
@@ -99,19 +102,28 @@ def _lay_floor(model: Any, films: Sequence[Film], ours: int) -> None:
     stands = -_STANDS * size <= lowest <= size
     height = min(lowest, 0.0) - _BELOW * size if stands else lowest - _GAP * size
     g = model.opt.gravity
+    power, rest = divmod(np.log10(_CELL * size), 1.0)
+    cell = 10.0**power * next(k for k in (5.0, 2.0, 1.0) if np.log10(k) <= rest)
+    model.mat_texrepeat[model.geom_matid[ours]] = 0.5 / cell  # a texture is two squares wide
+    _pave(model, data, ours)
     level = not np.any(g) or g[2] < -_LEVEL * np.linalg.norm(g)
     if level and not gone and not _has_floor(model, data, ours, scenery, size):
         model.geom_pos[ours, 2] = height
         model.geom_sameframe[ours] = 0  # or MuJoCo would leave it in the world's origin
-        power, rest = divmod(np.log10(_CELL * size), 1.0)
-        cell = 10.0**power * next(k for k in (5.0, 2.0, 1.0) if np.log10(k) <= rest)
-        model.mat_texrepeat[model.geom_matid[ours]] = 0.5 / cell  # a texture is two squares wide
     else:
         model.geom_matid[ours], model.geom_rgba[ours, 3] = -1, 0.0
     lamp = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_LIGHT, _OURS.format("lamp"))
     if lamp >= 0:
         model.light_pos[lamp] = middle - _LAMP_REACH * size * model.light_dir[lamp]
         model.light_castshadow[lamp] = model.stat.extent < _COARSE * size
+
+
+def _pave(model: Any, data: Any, ours: int) -> None:
+    """Let floors that nobody painted look like ours, without an end: for contacts a plane has none."""
+    planes = (model.geom_type == gl.load_mujoco().mjtGeom.mjGEOM_PLANE) & (data.geom_xmat[:, 8] > _LEVEL)
+    bare = np.flatnonzero(planes & ~moving(model) & unpainted(model))
+    model.geom_matid[bare], model.geom_rgba[bare] = model.geom_matid[ours], model.geom_rgba[ours]
+    model.geom_size[bare, :2] = 0.0
 
 
 def _lowest(box: Box) -> float:

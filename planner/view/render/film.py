@@ -32,6 +32,7 @@ class Caption(NamedTuple):
 
     mode: str  # open loop or with gains
     verdict: str  # "PASS", "FAIL" or ""
+    why: str = ""  # it fails, in a word or two
 
 
 @dataclass(frozen=True, eq=False)

@@ -166,6 +166,8 @@ class Overlay:
             if words.caption.verdict:
                 ink = _GOOD if words.caption.verdict == "PASS" else _BAD
                 parts.append((f"{words.caption.verdict}  ", self._title, ink))
+            if words.caption.why:
+                parts.append((f"({words.caption.why})  ", self._text, _INK))
         if words.difference:
             parts.append((f"from the {self._ghost_name()}", self._text, _QUIET))
         panel, (left, top) = self._bottom_panel(parts, 1.0, self._text.getlength(_WIDEST) if words.difference else 0.0)

@@ -6,6 +6,7 @@ by a mesh to be seen and by simpler shapes that collide, and then only the first
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -140,8 +141,9 @@ class LinkCapsules:
         self._model = model
         self.capsules = tuple(_link_capsules(model, data))
         spread = float(np.ptp(data.xanchor, axis=0).max()) if model.njnt else 0.0
-        lengths = (float(np.linalg.norm(stick.end - stick.start)) for stick in self.capsules)
-        self.radius = _LINK_RADIUS * (spread + max(lengths, default=0.0))
+        if self.capsules and not spread + _longest(self.capsules) > 0.0:
+            self.capsules = tuple(_inertia_rod(model, data, stick.body) for stick in self.capsules)
+        self.radius = _LINK_RADIUS * (spread + _longest(self.capsules))
 
     def ends(self, data: Any) -> np.ndarray:
         """(2 S, 3) the ends of the sticks where MuJoCo's data puts the bodies."""
@@ -186,6 +188,22 @@ def _link_capsules(model: Any, data: Any) -> list[LinkCapsule]:
             far = [2.0 * R.T @ (centre - p) - start]  # as long as a rod with this centre
         found += [LinkCapsule(link, start, end) for end in far]
     return found
+
+
+def _longest(capsules: Iterable[LinkCapsule]) -> float:
+    return max((float(np.linalg.norm(stick.end - stick.start)) for stick in capsules), default=0.0)
+
+
+def _inertia_rod(model: Any, data: Any, link: int) -> LinkCapsule:
+    """A rod about a link's heaviest body, of its mass and largest moment of inertia, across the link's first joint."""
+    body = int(np.argmax(np.where(model.body_weldid == link, model.body_mass, -1.0)))
+    principal = data.ximat[body].reshape(3, 3)
+    axis = data.xaxis[model.body_jntadr[link]] if model.body_jntnum[link] else np.zeros(3)
+    across = principal[:, int(np.argmin(np.abs(axis @ principal)))]
+    half = 0.5 * np.sqrt(12.0 * model.body_inertia[body].max() / model.body_mass[body]) * across
+    R = data.xmat[body].reshape(3, 3)
+    start, end = (R.T @ (data.xipos[body] + way * half - data.xpos[body]) for way in (-1.0, 1.0))
+    return LinkCapsule(body, start, end)
 
 
 def _joint_of(model: Any, data: Any, body: int) -> np.ndarray:
@@ -285,10 +303,15 @@ class BoxCorners:
 def paint_links(model: Any) -> None:
     """Give links two colours in turn where no moving shape has a colour of its own."""
     shapes = np.flatnonzero(moving(model))
-    if not np.all((model.geom_matid[shapes] < 0) & np.all(model.geom_rgba[shapes] == _UNPAINTED, axis=1)):
+    if not np.all(unpainted(model)[shapes]):
         return
     for geom in shapes:
         model.geom_rgba[geom] = _PAINTS[_depth(model, int(model.geom_bodyid[geom])) % 2]
+
+
+def unpainted(model: Any) -> np.ndarray:
+    """Mask (ngeom,) of the shapes without a material or a colour of their own."""
+    return (model.geom_matid < 0) & np.all(model.geom_rgba == _UNPAINTED, axis=1)
 
 
 def _depth(model: Any, body: int) -> int:

@@ -1,35 +1,30 @@
-"""Films, strips and stills of a replay: the simulated machine solid, the plan as a ghost.
-
-Frames become an H.264 file that a browser plays, or a GIF, by the ffmpeg that imageio-ffmpeg brings. imageio's own
-writer ignores ffmpeg's exit code: a disk that fills up at the end would leave a broken file and no error.
-"""
+"""Films, strips and stills of a replay: the simulated machine solid, the plan as a ghost."""
 
 from __future__ import annotations
 
 import math
 import os
-import subprocess
-import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
 from planner.base import gl
-from planner.base.arguments import array, count, number
-from planner.base.errors import FileError, PlannerError
+from planner.base.arguments import array, count, number, short_repr
+from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error, write_atomically
 from planner.model.mjcf.model_index import compile_model
 from planner.problem.default_appearance import appearance_of
+from planner.proof.original_model import OPEN_LOOP_MISSES
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.style import MODE_WORDS
-from planner.view.render.camera import angles_of_camera, scenery_of, swept_points
+from planner.view.render.camera import angles_of_camera, checked_direction, scenery_of, swept_points
 from planner.view.render.drawing import Job, carry_out, frames_of
+from planner.view.render.encoder import FILMS, Encoder
 from planner.view.render.film import Caption, Film
 from planner.view.render.marks import screen_difference
 
@@ -39,10 +34,9 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int], object]
 
-FILMS = (".mp4", ".gif")
 _HOLD = 1.0  # s, how long the last frame stays
 _LARGEST = 4096  # pixels; scene.py draws twice as large, and OpenGL gives little more than 8192
-_LONGEST = 100_000  # frames
+_MAX_SECONDS, _MAX_FRAMES = 600.0, 100_000  # that a film plays in slow motion; that any film has
 _UNSEEN = 4.0 / 500.0  # of the motion's largest side, about 500 pixels of a film: at 4 pixels a ghost is drawn in full
 
 
@@ -57,13 +51,13 @@ def render_video(
     camera: str | Sequence[float] | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of a replay, or of both replays of a proof side by side, as H.264 in MP4 or as GIF.
+    """Write a film of a replay, or of both replays of a proof side by side, as H.264 in MP4, as GIF or as animated PNG.
 
     Args:
         shown: A replay, or a proof for its open-loop replay at the left and the one with gains at the
             right, each with the ghost of the plan; one of them where both pass or fail and look the same. A replay that
             ran away stays in its last pose.
-        path: The file, ending in .mp4, or in .gif for pages that show no videos.
+        path: The file, ending in .mp4, or in .gif or .apng for pages that show no videos.
         width: Pixels, even.
         height: Pixels, even.
         fps: Frames per second.
@@ -81,6 +75,8 @@ def render_video(
         RenderingUnavailable: No OpenGL library was found.
         FileError: The file cannot be written.
     """
+    if not isinstance(shown, Replay) and not hasattr(shown, "replays"):
+        raise _wrong("shown", shown, "a Proof or a Replay", "render_video(planner.prove(plan), path)")
     _check_suffix(path, *FILMS)
     check_size(width, height, even=True)
     number("fps", fps, greater_than=0.0)
@@ -90,11 +86,7 @@ def render_video(
         speed = appearance_of(first.plan.problem).speed
     number("speed", speed, greater_than=0.0)
     start, end = float(first.t[0]), float(first.t[-1])
-    if not (end - start) * fps / speed < _LONGEST:
-        raise PlannerError(
-            f"{end - start:g} s at speed {speed:g} and {fps:g} fps are more than {_LONGEST} frames; "
-            "raise the speed or lower fps."
-        )
+    _check_length(end - start, fps, speed)
     frames = max(1, math.ceil((end - start) * fps / speed - 1e-9))
     t = np.minimum(start + np.arange(frames + 1) * speed / fps, end)
     films = [_seen_from(Film.of(replay, t, caption), camera) for replay, caption in replays.items()]
@@ -109,9 +101,24 @@ def render_video(
     return Path(path)
 
 
+def _check_length(seconds: float, fps: float, speed: float) -> None:
+    """Refuse a film of a motion of so many seconds that would be drawn for hours."""
+    plays, most = seconds / speed, max(seconds, _MAX_SECONDS)
+    if plays > most:
+        raise PlannerError(
+            f"{seconds:g} s at speed {speed:g} play for {plays:.4g} s, {plays * fps:,.0f} frames; expected at most "
+            f"{most:g} s: a speed of {math.ceil(1e4 * seconds / most) / 1e4:g} or more."
+        )
+    if not plays * fps <= _MAX_FRAMES:
+        raise PlannerError(
+            f"{seconds:g} s at speed {speed:g} and {fps:g} fps are {plays * fps:,.0f} frames, expected at most "
+            f"{_MAX_FRAMES}: fps of {math.floor(_MAX_FRAMES / plays)} or less."
+        )
+
+
 def one_replay_shows_both(proof: Proof) -> bool:
-    """Whether both replays of a proof pass or both fail, and no point of the machine is visibly apart in them."""
-    if proof.refined_open_loop.passed != proof.refined_feedback.passed:
+    """Whether both modes of a proof pass or both fail, and no point of the machine is visibly apart in them."""
+    if len({_reproduces(proof, mode) for mode in MODE_WORDS}) > 1:
         return False
     one, other = (Film.of(proof.replays[mode], np.zeros(1)) for mode in MODE_WORDS)
     if math.isfinite(min(one.unstable, other.unstable)):
@@ -122,18 +129,31 @@ def one_replay_shows_both(proof: Proof) -> bool:
     return screen_difference(first, second) <= _UNSEEN * float(np.ptp(first, axis=0).max())
 
 
+def _reproduces(proof: Proof, mode: str) -> bool:
+    """Whether this mode alone would do; the first that does is the proof's."""
+    return mode == proof.mode or (mode == "feedback" and proof.mode == "open-loop" and not proof.lost_with_gains)
+
+
 def _captioned(proof: Proof) -> dict[Replay, Caption | None]:
     """The replays of a proof, open loop first, with the words under each; one for both where they look the same."""
     if one_replay_shows_both(proof):
-        verdict = "PASS" if proof.mode else "" if proof.refined_open_loop.passed else "FAIL"
-        return {proof.replays["open-loop"]: Caption("open loop, and with gains the same", verdict)}
-    sections = {"open-loop": proof.refined_open_loop, "feedback": proof.refined_feedback}
-    captioned: dict[Replay, Caption | None] = {}
-    for mode, words in MODE_WORDS.items():
-        replay = proof.replays[mode]
-        verdict = "PASS" if mode == proof.mode else "" if sections[mode].passed else "FAIL"
-        captioned[replay] = Caption(words, verdict)
-    return captioned
+        caption = _caption(proof, proof.mode or "open-loop")
+        return {proof.replays["open-loop"]: caption._replace(mode="open loop, and with gains the same")}
+    return {proof.replays[mode]: _caption(proof, mode) for mode in MODE_WORDS}
+
+
+def _caption(proof: Proof, mode: str) -> Caption:
+    """What the verdict says about one mode, and why it fails where the picture hardly shows that."""
+    sections, reproduces = proof.sections, _reproduces(proof, mode)
+    if reproduces and proof.passed:
+        return Caption(MODE_WORDS[mode], "PASS" if mode == proof.mode else "")
+    why = ""
+    if reproduces:
+        why = "not optimal"
+    elif mode == "open-loop" and proof.mode == "feedback" and sections["refined_open_loop"].passed:
+        in_file = any(one.name == OPEN_LOOP_MISSES and one.value for one in sections["your_file"].measured)
+        why = "in your file" if in_file else "goal" if sections["order"].passed else "step convergence"
+    return Caption(MODE_WORDS[mode], "FAIL", why)
 
 
 def render_strip(
@@ -159,6 +179,7 @@ def render_strip(
         RenderingUnavailable: No OpenGL library was found.
         FileError: The file cannot be written.
     """
+    _check_replay(replay, "render_strip(proof.replay, path)")
     _check_strip(path, width, height, poses, least=2)
     film = _seen_from(Film.of(replay, np.linspace(replay.t[0], replay.t[-1], poses)), camera)
     return _write_strip(film, Job("strip", width, height, transparent=transparent), path)
@@ -184,7 +205,12 @@ def render_poses(
         RenderingUnavailable: No OpenGL library was found.
         FileError: The file cannot be written.
     """
+    if not hasattr(mechanism, "mjcf"):
+        raise _wrong("mechanism", mechanism, "a Mechanism", "render_poses(planner.Mechanism.from_mjcf(file), ...)")
+    if not isinstance(poses, dict):
+        raise _wrong("poses", poses, "positions by the words under them", '{"home": np.zeros(mechanism.nq)}')
     _check_strip(path, width, height, len(poses), least=1)
+    poses = {words: array(f"poses[{words!r}]", qpos, (mechanism.nq,)) for words, qpos in poses.items()}
     return _write_strip(Film.of_poses(mechanism, poses), Job("strip", width, height), path)
 
 
@@ -226,9 +252,9 @@ def render_frame(
         PlannerError: An argument is wrong.
         RenderingUnavailable: No OpenGL library was found.
     """
+    _check_replay(replay, "render_frame(proof.replay, t)")
     check_size(width, height)
-    if not replay.t[0] <= t <= replay.t[-1]:
-        raise PlannerError(f"t is {t!r}, expected {replay.t[0]:g} to {replay.t[-1]:g} s.")
+    number("t", t, minimum=float(replay.t[0]), maximum=float(replay.t[-1]))
     film = _seen_from(Film.of(replay, np.array([float(t)])), camera)
     gl.require_backend()
     return carry_out([film], Job("frame", width, height, transparent=transparent))
@@ -241,12 +267,24 @@ def _seen_from(film: Film, camera: str | Sequence[float] | None) -> Film:
     if isinstance(camera, str):
         azimuth, elevation = angles_of_camera(compile_model(film.mjcf, film.assets), camera)
     else:
-        azimuth, elevation = map(float, array("camera", camera, (2,)))
+        azimuth, elevation = checked_direction(camera)
     own = replace(film.appearance, azimuth=azimuth, elevation=elevation, may_turn=False, distance=None, views=())
     return replace(film, appearance=own)
 
 
+def _check_replay(replay: Replay, example: str) -> None:
+    if not isinstance(replay, Replay):
+        raise _wrong("replay", replay, "a Replay", example)
+
+
+def _wrong(name: str, value: object, expected: str, example: str) -> PlannerError:
+    """That an argument is of another kind than expected."""
+    return PlannerError(f"{name} is {short_repr(value)}, expected {expected}, e.g. {example}.")
+
+
 def _check_suffix(path: PathLike, *suffixes: str) -> None:
+    if not isinstance(path, (str, os.PathLike)):
+        raise _wrong("path", path, f"a name ending in {' or '.join(suffixes)}", repr(f"motion{suffixes[0]}"))
     if Path(path).suffix.lower() not in suffixes:
         raise PlannerError(f"the file is {os.fspath(path)!r}, expected a name ending in {' or '.join(suffixes)}.")
 
@@ -256,95 +294,3 @@ def check_size(width: int, height: int, *, even: bool = False) -> None:
     for name, value in (("width", width), ("height", height)):
         if count(name, value, minimum=16, maximum=_LARGEST) % 2 and even:
             raise PlannerError(f"{name} is {value!r}, expected an even number of pixels: H.264 films need it.")
-
-
-# Filters, where the last frame is repeated among them, and the form of the file.
-_H264 = (
-    # Say which YUV it is: players guess by picture size, and half of them would shift the colours.
-    "scale=out_color_matrix=bt709:out_range=tv,{held}",
-    "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
-    "-c:v", "libx264", "-preset", "veryfast", "-crf", "18", "-pix_fmt", "yuv420p",
-    # The index in front lets a browser start before it has everything.
-    "-movflags", "+faststart", "-f", "mp4",
-)  # fmt: skip
-_GIF = (
-    # The palette is the first frame's, which has all colours: one from all frames would keep the film in memory.
-    "{held},split[a][b];[a]trim=end_frame=1,palettegen[p];[b][p]paletteuse=dither=none:diff_mode=rectangle",
-    "-loop", "0", "-f", "gif",
-)  # fmt: skip
-
-
-class Encoder:
-    """A video being written; a context manager. Memory does not grow with the number of frames."""
-
-    def __init__(
-        self, path: Path, width: int, height: int, fps: float, target: PathLike, hold: float = 0.0
-    ) -> None:  # fmt: skip
-        """Start ffmpeg, which shows the last frame for `hold` s more.
-
-        Width and height are even; an error names the path `target`, as `path` may be temporary.
-        """
-        self._target = target
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115, closed by __exit__
-        filters, *form = _GIF if Path(target).suffix.lower() == ".gif" else _H264
-        command = [
-            _ffmpeg(target), "-loglevel", "error", "-y",
-            "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "pipe:0",
-            "-vf", filters.format(held=f"tpad=stop_mode=clone:stop_duration={hold:g}"), *form, str(path),
-        ]  # fmt: skip
-        try:
-            self._ffmpeg = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._log)
-        except OSError as error:
-            self._log.close()
-            raise FileError(f"cannot write {str(target)!r}: ffmpeg does not start ({error.strerror}).") from error
-
-    def write(self, frame: np.ndarray) -> None:
-        """Append a frame (height, width, 3), uint8; FileError where ffmpeg fails, e.g. on a full disk."""
-        assert self._ffmpeg.stdin is not None
-        try:
-            self._ffmpeg.stdin.write(frame.tobytes())
-        except OSError as error:
-            raise self._complaint() from error
-
-    def _finish(self) -> None:
-        assert self._ffmpeg.stdin is not None
-        try:
-            self._ffmpeg.stdin.close()
-        except OSError as error:
-            raise self._complaint() from error
-        if self._ffmpeg.wait() != 0:
-            raise self._complaint()
-
-    def __enter__(self) -> Encoder:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if error is None:
-                self._finish()
-        finally:
-            self._ffmpeg.kill()  # does nothing to a finished process
-            self._ffmpeg.wait()
-            if self._ffmpeg.stdin is not None:
-                with suppress(OSError):  # a dead ffmpeg reads no more
-                    self._ffmpeg.stdin.close()
-            self._log.close()
-
-    def _complaint(self) -> FileError:
-        self._ffmpeg.wait()
-        self._log.seek(0)
-        lines = self._log.read().decode(errors="replace").strip().splitlines()
-        # The first line is the cause. An OSError without errno makes file_error look whether the disk is full.
-        return file_error(OSError(f"ffmpeg says: {lines[0]}" if lines else "ffmpeg died"), self._target)
-
-
-def _ffmpeg(target: PathLike) -> str:
-    import imageio_ffmpeg
-
-    try:
-        return imageio_ffmpeg.get_ffmpeg_exe()
-    except RuntimeError as error:
-        cure = "there is no ffmpeg; install it with: pip install imageio-ffmpeg."
-        raise FileError(f"cannot write {str(target)!r}: {cure}") from error

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from html import escape
 from typing import TYPE_CHECKING
 
 from planner.base.measured import Section
@@ -19,7 +18,6 @@ from planner.model.capabilities import capabilities_of
 from planner.problem.plan import Plan
 from planner.proof.error_scales import SHARE, SMOOTHED, has_contacts, is_nonsmooth
 from planner.view.plots.style import sampling_words
-from planner.view.report.markup import measured_table
 
 if TYPE_CHECKING:
     from planner.proof import Proof
@@ -31,7 +29,7 @@ _OF_CODE = ("observed_order", "order_shortfall")  # values of step convergence t
 
 
 @dataclass(frozen=True)
-class _Part:
+class Part:
     """One part of an assessment."""
 
     title: str
@@ -41,21 +39,11 @@ class _Part:
     use: str
 
 
-def assessment(plan: Plan, proof: Proof) -> str:
-    """The section of the page about a proof."""
-    return "\n".join(_shown(part) for part in _parts(plan, proof))
-
-
-def _shown(part: _Part) -> str:
-    paragraphs = (("Done", part.done), ("Not covered", part.uncovered), ("Use", part.use))
-    done, *after = (f"<p><b>{head}.</b> {escape(words)}</p>" for head, words in paragraphs)
-    return "\n".join([f"<h3>{part.title}</h3>", done, *map(measured_table, part.steps), *after])
-
-
-def _parts(plan: Plan, proof: Proof) -> Iterator[_Part]:
+def assessment(plan: Plan, proof: Proof) -> Iterator[Part]:
+    """The parts of the assessment that a proof is."""
     sections = proof.sections
     others = tuple(name for name in sections if name not in {*_CODE, *_SOLUTION, *_VALIDATION})  # other engines
-    yield _Part(
+    yield Part(
         "Code verification",
         "Are the equations solved rightly? The plan's dynamics are compared with MuJoCo's at random states, contact "
         "forces included. Where nothing touches, MuJoCo also repeats the plan at the plan's own step, and its error "
@@ -65,7 +53,7 @@ def _parts(plan: Plan, proof: Proof) -> Iterator[_Part]:
         "that shows nowhere among them is not seen.",
         "To trust that the equations of the plan are those of the model.",
     )
-    yield _Part(
+    yield Part(
         "Solution verification",
         "How large is the numerical error of this plan? Its numbers are computed again from its states and controls. "
         f"MuJoCo then repeats the controls at a refined step, open loop and with {_gains(proof)}; an error passes up "
@@ -77,7 +65,7 @@ def _parts(plan: Plan, proof: Proof) -> Iterator[_Part]:
            if has_contacts(plan) else ""),
         "To trust that this motion is the model's under these controls, within the bounds above.",
     )  # fmt: skip
-    yield _Part(
+    yield Part(
         "Validation",
         "Is the model the machine? No experiment was made: nothing measured on a machine stands beside this plan. In "
         "its place stand the model exactly as it was given, other grounds, machines that differ at random, slower "

@@ -7,7 +7,6 @@ A script shows values where the pointer hovers and moves the film to a click; wi
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from html import escape
@@ -28,6 +27,7 @@ from planner.view.plots.time_series import (
     until_astray,
     view_limits,
 )
+from planner.view.report.markup import json_block
 
 if TYPE_CHECKING:
     from planner.problem.plan import Plan
@@ -81,7 +81,7 @@ def interactive(plan: Plan, proof: Proof | None) -> str:
         keys.append(f'<span class="key {kind}"></span> MuJoCo, {mode}')
     if any(line.kind == "bound" for chart in charts for line in chart.lines):
         keys.append('<span class="key bound"></span> bound')
-    block = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")  # no name can end the block
+    block = json_block(data)
     return (
         f'<p class="keys">{" &nbsp; ".join(keys)}</p>\n<div class="charts">\n'
         + "\n".join(drawn)

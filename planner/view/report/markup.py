@@ -1,106 +1,79 @@
-"""HTML of the pages: the whole page, its style sheet and scripts, and tables of measured values and of names."""
+"""Write the pages: the templates of templates/, and how they write numbers and measured values."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from collections.abc import Iterable
-from html import escape
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from markupsafe import Markup, escape
 
 from planner.base.files import write_atomically
-from planner.base.measured import Measurement, Section
+from planner.base.measured import Measurement
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 NBSP = "\N{NO-BREAK SPACE}"
 
 
-def measured_table(section: Section) -> str:
-    """A step of a proof: every measured number beside its bound."""
-    title = f"<h4>{escape(_capital(section.title))} {_mark(section)}</h4>"
-    if section.not_applicable:
-        return f'{title}\n<p class="soft">{escape(_capital(section.not_applicable))}</p>'
-    if not section.measured:
-        return f'{title}\n<p class="soft">Nothing was measured.</p>'
-    rows = "\n".join(_row(one) for one in section.measured)
-    head = "<tr><th>Measured</th><th>Value</th><th>Bound</th><th>Verdict</th></tr>"
-    return f'{title}\n<div class="scroll"><table>\n{head}\n{rows}\n</table></div>'
+def render(template: str, **values: Any) -> Markup:
+    """The HTML of a template; text among the values is escaped, Markup is HTML already."""
+    return Markup(_environment().get_template(template).render(values))
 
 
-def _mark(section: Section) -> str:
-    if section.not_applicable:
-        return '<span class="word none">not applicable</span>'
-    if all(one.bound is None for one in section.measured):
-        return ""
-    return _pass_or_fail(section.passed)
-
-
-def _row(one: Measurement) -> str:
-    word = '<span class="word none">shown</span>' if one.bound is None else _pass_or_fail(one.passed)
-    bound = "" if one.bound is None else f"≤{NBSP}{_quantity(one.bound, one.unit)}"
-    note = f"<small>{escape(one.note)}</small>" if one.note else ""
-    return (
-        f"<tr><td>{escape(_name(one))}{note}</td>"
-        f'<td class="number">{_quantity(one.value, one.unit)}</td>'
-        f'<td class="number">{bound}</td><td class="verdict-word">{word}</td></tr>'
-    )
-
-
-def _pass_or_fail(passed: bool) -> str:
-    return f'<span class="word {"pass" if passed else "fail"}">{"pass" if passed else "FAIL"}</span>'
-
-
-def asset(name: str) -> str:
-    """A style sheet or a script of the pages."""
-    return (files("planner.view") / "assets" / name).read_text(encoding="utf-8")
-
-
-def script(name: str) -> str:
-    """A script of the pages as an element of one."""
-    return f"<script>\n{asset(name)}</script>"
-
-
-def write_page(path: Path, title: str, parts: Iterable[str], style: str = "") -> Path:
-    """Write a page of the parts that are not empty; `style` adds to the style sheet. Returns the path.
+def write_page(path: Path, template: str, **values: Any) -> Path:
+    """Write the page of a template and return its path.
 
     Raises:
         FileError: It cannot be written.
     """
-    body = "\n".join(filter(None, parts))
-    page = (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{asset('page.css')}{style}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
-    )
+    page = render(template, **values)
     with write_atomically(path) as hidden:
-        hidden.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")
+        hidden.write_text(page + "\n", encoding="utf-8", errors="xmlcharrefreplace")
     return path
 
 
-def video_player(source: str) -> str:
-    """A player of a film: a file beside the page, or a data URL."""
-    return (
-        f'<video controls loop muted playsinline preload="metadata" src="{source}">'
-        "This browser does not play H.264 video.</video>"
-    )
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # 0.1 s, and only pages need it
+
+    made = Environment(
+        loader=PackageLoader("planner.view.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    made.filters |= {"capital": _capital, "code": _with_code, "quantity": _quantity, "text": _text, "title_of": _name}
+    made.globals["asset"] = asset
+    return made
 
 
-def verdict_box(word: str, passed: bool, words: str, more: str = "", *, warns: bool = False) -> str:
-    """The verdict in its colour with words beside it, as text, and `more` below, as HTML."""
-    span = f"<span>{escape(words)}</span>" if words else ""
-    kind = "warn" if warns else "pass" if passed else "fail"
-    return f'<div class="verdict {kind}" role="status"><strong>{escape(word)}</strong>{span}{more}</div>'
+def asset(name: str) -> Markup:
+    """A style sheet or a script of the pages."""
+    return Markup((files("planner.view") / "assets" / name).read_text(encoding="utf-8").replace("</", "<\\/"))
 
 
-def table(rows: dict[str, Any]) -> str:
-    """Names beside values."""
-    lines = "\n".join(
-        f'<tr><th scope="row">{escape(str(name))}</th><td class="value">{escape(_text(value))}</td></tr>'
-        for name, value in rows.items()
-    )
-    return f'<div class="scroll"><table>\n{lines}\n</table></div>'
+def json_block(data: Any) -> Markup:
+    """Values as JSON that no name in them can end."""
+    return Markup(json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"))
+
+
+def split_after_word(text: str, most: int) -> tuple[str, str]:
+    """The first letters of a text, at most so many, up to a word's end and no end within ``; and the rest."""
+    if len(text) <= most:
+        return text, ""
+    cut = max(text.rfind(" ", 0, most), 0) or most
+    if text.count("`", 0, cut) % 2:  # within code
+        cut = text.rfind("`", 0, cut)
+    return text[:cut], text[cut:]
+
+
+def _with_code(text: str) -> Markup:
+    """Text in which words in `` are code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _text(value: Any) -> str:
@@ -121,7 +94,7 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def _quantity(value: float, unit: str) -> str:
-    return escape(f"{number(value)}{NBSP}{unit}".rstrip())
+    return f"{number(value)}{NBSP}{unit}".rstrip()
 
 
 def _name(one: Measurement) -> str:

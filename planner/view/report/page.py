@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import base64
 import math
-import re
 import shlex
-from collections.abc import Mapping, Sequence
-from html import escape
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from markupsafe import Markup
 
 from planner import cases
 from planner.base.arguments import toml_value
@@ -28,7 +28,7 @@ from planner.view.plots.case_pictures import case_pictures
 from planner.view.render.video import one_replay_shows_both
 from planner.view.report.assessment import assessment
 from planner.view.report.curves import interactive
-from planner.view.report.markup import measured_table, number, script, table, verdict_box, video_player, write_page
+from planner.view.report.markup import number, split_after_word, write_page
 from planner.view.report.view_3d import view_3d
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 
 NAME = "report.html"
+FOLDED = 260  # letters of a note on the first screen: what is beyond is folded
 _EMBEDDED = 16e6  # bytes of the largest film within the page
 
 CURVES = "plots.png"
@@ -66,83 +67,102 @@ def write_report(
         FileError: The page cannot be written, or a picture cannot be read.
     """
     folder = Path(folder)
-    title = appearance_of(plan.problem).title or plan.case or "Plan"
-    curves = interactive(plan, proof)
-    made = [
-        _refinement(path), _solver(plan), _parameters(plan), _chosen(plan), _again(plan, proof, path, options or {}),
-        "<h2>Made with</h2>\n" + table(plan.versions), _model(plan),
-    ]  # fmt: skip
-    parts = [
-        f"<h1>{escape(title)}</h1>",
-        _verdict(plan, proof, fixes),
-        _film(plan, proof, folder, video_note),  # people look before they read
-        _view(plan, proof),
-        _folded("Curves", curves),
-        _folded("Pictures", _pictures(plan, proof, folder, with_curves=not curves)),
-        _folded("Proof", "" if proof is None else assessment(plan, proof)),
-        _folded("How it was made", *made),
-    ]
-    return write_page(folder / NAME, f"{_word(proof)}: {title}", [*parts, script("curves.js")])
+    heading = appearance_of(plan.problem).title or plan.case or "Plan"
+    verdict, curves = _verdict(proof), Markup(interactive(plan, proof))
+    return write_page(
+        folder / NAME, "report.html", title=f"{'FAIL' if proof is None else proof.verdict}: {heading}", heading=heading,
+        verdict=verdict, notes=_notes(plan, proof, fixes), film=_film(plan, proof, folder, video_note),
+        view=_view(plan, proof), curves=curves, pictures=_pictures(plan, proof, folder, with_curves=not curves),
+        assessment=() if proof is None else assessment(plan, proof), refinement=_refinement(path), solver=_solver(plan),
+        case=plan.case, parameters=_parameters(plan), chosen=resolved_defaults(plan.parameters),
+        command=command(plan, path, options), problem_file=problem_text(plan, path),
+        seeds=_seeds(plan, proof, options or {}), versions=plan.versions,
+        model="" if plan.twin is None else plan.twin.mjcf.strip(),
+    )  # fmt: skip
 
 
-def _folded(title: str, *parts: str) -> str:
-    """What is below the first screen, folded under its title; "" where there is none of it."""
-    inside = "\n".join(filter(None, parts))
-    return f'<details class="part"><summary>{title}</summary>\n{inside}\n</details>' if inside else ""
+class _Verdict(NamedTuple):
+    """The verdict in its colour with words beside it."""
+
+    word: str
+    kind: str  # "pass", "warn" or "fail"
+    words: str = ""
 
 
-def _word(proof: Proof | None) -> str:
-    return "FAIL" if proof is None else proof.verdict
+class _Film(NamedTuple):
+    """A film, a file beside the page or a data URL, and its caption; or why there is none."""
+
+    source: str
+    words: str
 
 
-def _verdict(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> str:
+class _Note(NamedTuple):
+    """A paragraph of the first screen, of which a part is folded. Words in `` are code."""
+
+    label: str
+    text: str
+    folded: str
+
+
+def _verdict(proof: Proof | None) -> _Verdict:
+    if proof is None:
+        return _Verdict("FAIL", "fail")
+    grade = str(getattr(proof, "robustness", ""))
+    word = f"{proof.verdict}, {grade}" if grade and ":" not in grade else proof.verdict
+    mode = f"({proof.mode}); " if proof.passed and proof.mode else ""
+    return _Verdict(word, "warn" if proof.misleads else "pass" if proof.passed else "fail", mode + proof.results)
+
+
+def _notes(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> list[_Note]:
+    """What led to the verdict, what to write so that the plan passes, what the verdict does not cover."""
     if proof is not None:
-        reason, words = proof.reason, proof.headline.removeprefix(proof.verdict).strip(" ;,")
+        reason = proof.reason
     elif math.isfinite(plan.cost):
-        reason, words = "The plan was not replayed in MuJoCo, so nothing is proven.", ""
+        reason = "The plan was not replayed in MuJoCo, so nothing is proven."
     else:
-        reason, words = "There is no finite plan that could be replayed.", ""
-    doubt = "" if plan.converged else f"<p>The solver did not converge: {escape(plan.message)}</p>"
-    advice = re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(" Or: ".join(map(str, fixes))))
-    to_pass = f"<p>To pass: {advice}</p>" if fixes else ""
-    more = f"<p>{escape(reason)}</p>{to_pass}{doubt}{_unchecked(proof)}"
-    grade = "" if proof is None else str(getattr(proof, "robustness", ""))
-    word = f"{_word(proof)}, {grade}" if grade and ":" not in grade else _word(proof)
-    return verdict_box(word, _word(proof) == "PASS", words, more, warns=proof is not None and proof.misleads)
-
-
-def _unchecked(proof: Proof | None) -> str:
-    """Features that the plan's model lacks, and claims that the verdict does not make."""
-    sentences = []
-    if proof is not None and proof.planned_without:
-        lacking = " and ".join(proof.planned_without)
-        sentences.append(f"The plan was made without {lacking}; the replay in your file (step 6) had all of it.")
-    if proof is not None and proof.not_checked:
-        sentences.append(f"Beside the verdict: {'; '.join(proof.not_checked)}.")
+        reason = "There is no finite plan that could be replayed."
+    notes = [("", reason)]
+    for k, fix in enumerate(fixes):
+        label = (
+            "Or" if k else "To pass" if getattr(fix, "written", "") else ""
+        )  # without a change it says why none helps
+        notes.append((label, str(fix)))
+    if not plan.converged and not fixes:  # a finding says more than the solver's own words, which may contradict it
+        notes.append(("The solver did not converge", plan.message))
     if proof is not None:
-        sentences.append("Not checked: whether the model is the machine (see Validation under Proof).")
-    return "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
+        if proof.remarks:
+            notes.append(("Beside the verdict", f"{'; '.join(proof.remarks)}."))
+        notes.append(("Not checked", f"{'; '.join(_unchecked(proof))}."))
+    return [_Note(label, *split_after_word(text, FOLDED)) for label, text in notes]
 
 
-def _film(plan: Plan, proof: Proof | None, folder: Path, note: str) -> str:
-    """The film, or the strip of poses where there is none."""
+def _unchecked(proof: Proof) -> Iterator[str]:
+    """What no step of the proof has measured, a phrase each: the sections that were not run, and why not."""
+    yield "whether the model is the machine (see Validation under Proof)"
+    titles: dict[str, list[str]] = {}
+    for section in proof.sections.values():
+        if section.not_applicable:
+            titles.setdefault(section.not_applicable.rstrip("."), []).append(section.title)
+    for reason, those in titles.items():
+        yield f"{', '.join(those)} ({reason})"
+
+
+def _film(plan: Plan, proof: Proof | None, folder: Path, note: str) -> _Film:
+    """The film, or why there is none."""
     file = folder / "video.mp4"
     beside = file.is_file() and file.stat().st_size > _EMBEDDED
     video = "video.mp4" if beside else embedded(file, "video/mp4")
-    if video:
-        appearance = appearance_of(plan.problem)
-        ghost = "plan" if appearance.ghost is None else appearance.ghost.label
-        goals = "; goals as balls, axes and arrows" if appearance.goals else ""
-        alike = proof is not None and hasattr(proof, "refined_open_loop") and one_replay_shows_both(proof)
-        sides = (
-            "open loop; with the plan's gains it looks the same" if alike
-            else "at the left open loop, at the right with the plan's gains"
-        )  # fmt: skip
-        caption = f"MuJoCo solid, the {ghost} as a ghost; {sides}{goals}"
-        if beside:
-            caption += "; the film is the file video.mp4 beside this page"
-        return f"<figure>{video_player(video)}<figcaption>{escape(caption)}</figcaption></figure>"
-    return f'<p class="soft">Video: {escape(note or "No video was made.")}</p>'
+    if not video:
+        return _Film("", note or "No video was made.")
+    appearance = appearance_of(plan.problem)
+    ghost = "plan" if appearance.ghost is None else appearance.ghost.label
+    sides = (
+        "open loop; with the plan's gains it looks the same" if proof is not None and one_replay_shows_both(proof)
+        else "at the left open loop, at the right with the plan's gains"
+    )  # fmt: skip
+    goals = "; goals as balls, axes and arrows" if appearance.goals else ""
+    where = "; the film is the file video.mp4 beside this page" if beside else ""
+    return _Film(video, f"MuJoCo solid, the {ghost} as a ghost; {sides}{goals}{where}")
 
 
 def _view(plan: Plan, proof: Proof | None) -> str:
@@ -156,64 +176,39 @@ def _view(plan: Plan, proof: Proof | None) -> str:
         return ""
 
 
-def _pictures(plan: Plan, proof: Proof | None, folder: Path, *, with_curves: bool) -> str:
-    """The pictures of the folder; plots.png only where the page has not drawn its curves already."""
+def _pictures(plan: Plan, proof: Proof | None, folder: Path, *, with_curves: bool) -> list[tuple[str, str]]:
+    """Sources and captions of the folder's pictures; plots.png only where the page has not drawn its curves already."""
     own = {} if proof is None else case_pictures(plan, proof.replay)
     first, *others = _PICTURES
-    figures = []
-    for name, caption in (first, *((name, picture.caption) for name, picture in own.items()), *others):
-        if name == CURVES and not with_curves:
-            continue
-        source = embedded(folder / name, "image/png")
-        if source:
-            figures.append(
-                f'<figure><img src="{source}" alt="{escape(caption)}">'
-                f"<figcaption>{escape(caption)}</figcaption></figure>"
-            )
-    return "\n".join(figures)
+    named = (first, *((name, picture.caption) for name, picture in own.items()), *others)
+    found = [
+        (embedded(folder / name, "image/png"), caption) for name, caption in named if with_curves or name != CURVES
+    ]
+    return [(source, caption) for source, caption in found if source]
 
 
 def _refinement(path: Sequence[Refinement]) -> str:
     """The steps from the first plan to this one."""
-    if len(path) < 2:
-        return ""
-    lines = "\n".join([path[0].header(), *map(str, path)])
-    why = "The proof of the first plan failed, so it was solved again at finer steps."
-    return f"<h2>Refinement</h2>\n<p>{why}</p>\n<pre>{escape(lines)}</pre>"
+    return "\n".join([path[0].header(), *map(str, path)]) if len(path) > 1 else ""
 
 
-def _solver(plan: Plan) -> str:
-    rows = {
+def _solver(plan: Plan) -> dict[str, Any]:
+    return {
         "Status": f"{plan.status.name}: {plan.message}",
         "Iterations": plan.nit,
         "Cost": number(plan.cost, digits=8),
         "Gradient norm": plan.gradient_norm,
         "Stages": f"{plan.N} of {number(plan.dt)} s, {number(plan.dt * plan.N)} s in all",
     }
-    return "<h2>Solver</h2>\n" + table(rows)
 
 
-def _parameters(plan: Plan) -> str:
-    if not plan.parameters:
-        return ""
-    case = f" of the case {plan.case}" if plan.case else ""
+def _parameters(plan: Plan) -> dict[str, Any]:
     given = typed(plan.parameters) if plan.case in CASES else plan.parameters
-    return f"<h2>Parameters{escape(case)}</h2>\n" + table({k: v for k, v in given.items() if k != RESOLVED})
+    return {name: value for name, value in given.items() if name != RESOLVED}
 
 
-def _chosen(plan: Plan) -> str:
-    """Defaults that were resolved for the problem file, with the reasons."""
-    reasons = resolved_defaults(plan.parameters)
-    return f"<h2>Chosen by itself</h2>\n{table(reasons)}" if reasons else ""
-
-
-def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options: Mapping[str, Any]) -> str:
-    """The command, the problem file and the seeds that make the plan again."""
-    line = command(plan, path, options)
-    body = f"<pre>{escape(line)}</pre>" if line else "<p>A program made the plan, not the command line.</p>"
-    file = problem_text(plan, path)
-    if file:
-        body += f"\n<p>with the model below and this problem file:</p>\n<pre>{escape(file)}</pre>"
+def _seeds(plan: Plan, proof: Proof | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """What makes the plan and its rollouts again, beside the command."""
     seeds: dict[str, Any] = {}
     if len(plan.starts) > 1:
         seeds["Starts"] = f"{len(plan.starts)}; this plan is start {plan.start}"
@@ -222,14 +217,7 @@ def _again(plan: Plan, proof: Proof | None, path: Sequence[Refinement], options:
     if rollouts is not None:
         seeds["Rollouts"] = f"{rollouts.done} in each mode; varied: {rollouts.perturbation}"
         seeds["Seed of the rollouts"] = rollouts.seed
-    return f"<h2>Again</h2>\n{body}" + (f"\n{table(seeds)}" if seeds else "")
-
-
-def _model(plan: Plan) -> str:
-    if plan.twin is None:
-        return ""
-    text = escape(plan.twin.mjcf.strip())
-    return f"<details><summary>The model it was replayed in (MJCF)</summary>\n<pre>{text}</pre></details>"
+    return seeds
 
 
 def embedded(file: Path, kind: str) -> str:
@@ -246,26 +234,19 @@ def embedded(file: Path, kind: str) -> str:
 def write_loop_page(verdict: LoopVerdict, folder: Path, video_note: str = "") -> Path:
     """Write report.html into a folder, with loop.png and video.mp4 in it as far as they lie there."""
     run = verdict.loop
-    title = f"{appearance_of(run.controller.problem).title or 'Loop'}, in the loop"
+    heading = f"{appearance_of(run.controller.problem).title or 'Loop'}, in the loop"
     words = verdict.headline.removeprefix(verdict.verdict).strip(" ;,")
-    video, picture = embedded(folder / "video.mp4", "video/mp4"), embedded(folder / "loop.png", "image/png")
-    film = video_player(video) if video else f'<p class="soft">{escape(video_note)}</p>'
-    caption = "MuJoCo solid, what the controller expected as a ghost"
     settings = {
         name.replace("_", " "): value for name, value in run.errors.items() if value not in (None, 0.0, False, [])
     }
     settings["latency"] = "measured" if run.errors["latency"] is None else run.errors["latency"]
-    parts = [
-        f"<h1>{escape(title)}</h1>",
-        verdict_box(verdict.verdict, verdict.passed, words),
-        f"<h2>Video</h2>\n<figure>{film}<figcaption>{caption}</figcaption></figure>",
-        f'<h2>Pictures</h2>\n<figure><img src="{picture}" alt="The loop over time"></figure>' if picture else "",
-        "<h2>Measured</h2>",
-        *[measured_table(section) for section in verdict.sections.values()],
-        "<h2>Settings</h2>\n" + table(settings),
-        f"<h2>Events of the controller</h2>\n<pre>{escape(chr(10).join(map(str, run.events))) or 'none'}</pre>",
-    ]  # fmt: skip
-    return write_page(folder / NAME, f"{verdict.verdict}: {title}", parts)
+    return write_page(
+        folder / NAME, "loop.html", title=f"{verdict.verdict}: {heading}", heading=heading,
+        verdict=_Verdict(verdict.verdict, "pass" if verdict.passed else "fail", words),
+        film=_Film(embedded(folder / "video.mp4", "video/mp4"), video_note),
+        picture=embedded(folder / "loop.png", "image/png"), sections=list(verdict.sections.values()),
+        settings=settings, events="\n".join(map(str, run.events)),
+    )  # fmt: skip
 
 
 PROBLEM = "problem.toml"

@@ -7,7 +7,6 @@ by far more than between the neighbours before and after them, and by more than 
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -16,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from planner.base.data_files import finite
 from planner.problem.plan import Status
 from planner.sweeps.grid import Grid
 from planner.sweeps.sweeping import CSV, PARQUET, Sweep
-from planner.view.report.markup import asset, number, script, table, write_page
+from planner.view.report.markup import json_block, number, write_page
 
 MAX_MAPS = 12
 _CONVERGED = {one.name for one in Status if one.converged}  # a task's status may be none of a plan
@@ -209,37 +209,28 @@ def write_sweep_page(sweep: Sweep) -> Path:
     maps = maps_of(sweep.grid)
     drawn = {int(task) for one in maps for task in one.tasks.flat}
     rows = {row["task"]: row for row in sweep.rows() if row["task"] in drawn}
-    parts = []
     for one in maps:
         mark_jumps(one, (rows[task] for task in map(int, one.tasks.flat) if task in rows))
-        parts.append(_section(one, sweep, rows))
-    left = len(sweep.grid) - len(drawn)
-    more = f'<p class="soft">{left} more tasks are in the table alone.</p>' if left else ""
-    counts = {"Tasks": f"{sweep.finished} of {len(sweep.grid)}", **sweep.statuses}
-    data = json.dumps(finite({task: _detail(row, sweep) for task, row in rows.items()})).replace("<", "\\u003c")
-    written = [name for name in (CSV, PARQUET) if (sweep.folder / name).exists()]
-    tables = ", ".join(f'<a href="{name}">{name}</a>' for name in written)
-    title = f"Sweep over {', '.join(sweep.grid.values)}"
-    head = (
-        f"<h1>{escape(title)}</h1>\n{table(counts)}\n<p>Tables: {tables}. A click on a task shows it below, with the "
-        "commands for its plan. A line separates neighbours in different minima, by their cost and motion.</p>"
-    )
-    detail = f'{more}\n<div id="detail"></div>\n<script type="application/json" id="rows">{data}</script>'
-    return write_page(sweep.folder / NAME, title, [head, *parts, detail, script("sweep.js")], "\n" + asset("sweep.css"))
+    return write_page(
+        sweep.folder / NAME, "sweep.html", title=f"Sweep over {', '.join(sweep.grid.values)}",
+        counts={"Tasks": f"{sweep.finished} of {len(sweep.grid)}", **sweep.statuses},
+        tables=[name for name in (CSV, PARQUET) if (sweep.folder / name).exists()],
+        maps=[_shown(one, sweep, rows) for one in maps], left=len(sweep.grid) - len(drawn),
+        rows=json_block(finite({task: _detail(row, sweep) for task, row in rows.items()})),
+    )  # fmt: skip
 
 
-def _section(one: Map, sweep: Sweep, rows: dict[int, dict[str, Any]]) -> str:
-    constant = ", ".join(f"{name} = {word(value)}" for name, value in one.constant.items())
+def _shown(one: Map, sweep: Sweep, rows: dict[int, dict[str, Any]]) -> dict[str, Any]:
+    """What the page shows of a map."""
     pictures = [
         picture("Success", LEGEND, one, sweep.grid, {t: _success(row) for t, row in rows.items()}),
         _scale("Cost", "cost", one, sweep, rows),
         _scale("Iterations", "iterations", one, sweep, rows),
     ]
-    head = f"<h2>{escape(constant)}</h2>\n" if constant else ""
-    pairs = "pair of neighbours is" if len(one.jumps) == 1 else "pairs of neighbours are"
-    jumps = f"<p>{len(one.jumps)} {pairs} in different minima.</p>" if one.jumps else ""
-    few = " few" if one.tasks.shape[1] <= WIDE else ""
-    return f'{head}<div class="three{few}">{"".join(pictures)}</div>{jumps}'
+    return {
+        "constant": ", ".join(f"{name} = {word(value)}" for name, value in one.constant.items()),
+        "pictures": list(map(Markup, pictures)), "jumps": len(one.jumps), "few": one.tasks.shape[1] <= WIDE,
+    }  # fmt: skip
 
 
 def _success(row: dict[str, Any]) -> str:

@@ -8,11 +8,10 @@ are those of the bodies that move, in single precision. Meshes of many triangles
 from __future__ import annotations
 
 import base64
-import json
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
 from planner.base.gl import load_mujoco
 from planner.view.render.camera import scenery_of, whole_motion
@@ -21,7 +20,7 @@ from planner.view.render.film import Film
 from planner.view.render.marks import Marks, ghost_paint
 from planner.view.render.obstruction import unobstructed
 from planner.view.render.shapes import LinkCapsules
-from planner.view.report.markup import asset
+from planner.view.report.markup import json_block, render
 
 if TYPE_CHECKING:
     from planner.proof.replays.replaying import Replay
@@ -33,7 +32,7 @@ _ASPECT = 16.0 / 9.0  # width over height of the view
 _KINDS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")  # of mjtGeom
 
 
-def view_3d(replay: Replay, ghost: str = "plan") -> str:
+def view_3d(replay: Replay, ghost: str = "plan") -> Markup:
     """The view's HTML: its canvas and buttons, its data, three.js and the script that draws with it.
 
     `ghost` says what the ghost is.
@@ -41,22 +40,7 @@ def view_3d(replay: Replay, ghost: str = "plan") -> str:
     Raises:
         PlannerError: There is nothing to draw (see Film.of).
     """
-    data = json.dumps(view_data(film_of(replay)), separators=(",", ":"))
-    three, script = asset("three.min.js"), asset("view.js")
-    return (
-        '<figure id="view" hidden><canvas tabindex="0" aria-label="3-D view of the motion"></canvas><p class="bar">'
-        '<button type="button" data-do="play" aria-label="play or pause">&#9654;</button>'
-        '<input type="range" min="0" max="1" step="any" value="0" aria-label="time of the 3-D view">'
-        '<output></output></p><p class="keys"></p>'
-        f"<figcaption>MuJoCo solid, the {escape(ghost)} as a ghost. Drag to turn, scroll to zoom, drag with the right "
-        f'button to move.</figcaption></figure>\n<script type="application/json" id="view-data">{data}</script>\n'
-        f'<script type="text/plain" id="three">{three}</script>\n<script>{escape_script(script)}</script>'
-    )
-
-
-def escape_script(text: str) -> str:
-    """A script's text that cannot end its element."""
-    return text.replace("</", "<\\/")
+    return render("view_3d.html", ghost=ghost, data=json_block(view_data(film_of(replay))))
 
 
 def film_of(replay: Replay) -> Film:
