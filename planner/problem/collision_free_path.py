@@ -28,6 +28,8 @@ _paths: WeakKeyDictionary[Mechanism, dict[bytes, np.ndarray | None]] = WeakKeyDi
 STEP = 0.05  # rad or m of the joint that moves most, between poses that are checked
 MAX_STEPS = 10  # by which a tree grows towards a sample
 MAX_SAMPLES, MORE_SAMPLES = 600, 3000  # of a search; of one for a motion on which a solve is to begin
+PATHS = 4  # searches in vain, after which no further pose of a goal is asked whether a path leads to it
+_NO_PATH = 1e-12  # m, violation of a pose to which none is found: less than that of any pose in collision
 MIN_SPREAD, MAX_SPREAD = 0.1, 1.5  # rad or m, standard deviation of first and last samples about the straight line
 SHORTCUTS = 200  # random straight cuts that are tried
 SAMPLES = 200  # equal parts of a path
@@ -64,6 +66,26 @@ class CollisionChecker:
     def clearance_violation(self, q: np.ndarray) -> float:
         """The largest violation of a required distance at a pose (nq,), m; 0 for none."""
         return float(np.max(self._lower - self.distances(q[None], self._lower)[0], initial=0.0))
+
+    def violation_from(self, start: np.ndarray | None) -> Callable[[np.ndarray], float]:
+        """The same as a function of poses (nq,), and a little for one to which no path from a start (nq,) is found."""
+        mechanism = self._mechanism
+        if start is None or mechanism.has_closed_chains or not has_path_search(mechanism):
+            return self.clearance_violation
+        if self.clearance_violation(start) > 0.0:
+            return self.clearance_violation
+        in_vain = 0
+
+        def violation(pose: np.ndarray) -> float:
+            nonlocal in_vain
+            depth = self.clearance_violation(pose)
+            if depth > 0.0 or in_vain == PATHS:
+                return max(depth, _NO_PATH)
+            found = self.find_path(start, pose) is not None
+            in_vain += not found
+            return 0.0 if found else _NO_PATH
+
+        return violation
 
     def find_path(
         self, start: np.ndarray, goal: np.ndarray, seed: int = 0, samples: int = MAX_SAMPLES

@@ -7,10 +7,9 @@ import pytest
 from machines import gantry
 
 import planner
-from planner.problem.collision_free_path import MORE_SAMPLES, CollisionChecker
+from planner.problem.collision_free_path import MORE_SAMPLES, PATHS, CollisionChecker
 from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.tasks import poses
 from planner.proof.diagnostics import suggested_fixes
 
 # Two links of 0.5 m in a vertical plane, with a small box on the other side, so that there is something to avoid.
@@ -58,7 +57,7 @@ def test_without_any_way_the_nearest_pose_stays_after_a_few_searches(elbow, monk
     monkeypatch.setattr(CollisionChecker, "find_path", lambda self, a, b, *more, **named: calls.append(named))
     assert elbow() == pytest.approx(near, abs=2e-3)
     of_poses = [named for named in calls if not named]
-    assert poses.PATHS <= len(of_poses) <= poses.PATHS + 1  # one more for the first guess
+    assert PATHS <= len(of_poses) <= PATHS + 1  # one more for the first guess
     assert {"samples": MORE_SAMPLES} in calls
 
 

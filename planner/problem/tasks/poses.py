@@ -17,7 +17,7 @@ from planner.dynamics.statics import static_equilibrium
 from planner.model.capabilities import unreached_dofs
 from planner.model.mechanism import SCREW, Frame
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
-from planner.problem.collision_free_path import CollisionChecker, has_path_search
+from planner.problem.collision_free_path import CollisionChecker
 from planner.problem.tasks.footholds import carried_stance
 from planner.problem.tasks.goal import Follow
 from planner.problem.tasks.momentum import kept_center_of_mass
@@ -25,8 +25,6 @@ from planner.problem.tasks.pose_constraints import FOOT_SCALE, Feet, PoseConstra
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 MAX_CONFIGURATIONS = 60  # along a path; joints follow a spline between them
-PATHS = 4  # searches of a path in vain, after which no further pose of a goal is asked whether a path leads to it
-_NO_PATH = 1e-12  # m, violation of a pose to which none is found: less than that of any pose in collision
 PATH_STARTS = 2  # number of starts of inverse kinematics on a path with constraints, the first at the previous pose
 
 
@@ -202,7 +200,7 @@ def _pose(
     if mechanism.has_closed_chains:
         x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
         q = assembled(mechanism, x, asked.joints)[: len(q)]
-    violation = _violation_from(search, q) if here else _violation_from(search)
+    violation = None if search.checker is None else search.checker.violation_from(q if here else None)
     missing = None if search.constraints is None else search.constraints.at(stage)
     if not asked.targets:
         if search.check and missing is not None:
@@ -278,27 +276,6 @@ def _pose(
         f"{' and '.join(together)} contradict each other at {stage * task.dt:.4g} s{within}: together "
         f"they are missed by at least {residual:.2g} tolerances; move one, or give it another time."
     )
-
-
-def _violation_from(search: _Search, q: np.ndarray | None = None) -> Callable[[np.ndarray], float] | None:
-    """Violation of a pose (nq,): how deep it is in collision, m, and a little where no path from q (nq,) is found."""
-    checker, mechanism = search.checker, search.dynamics.mechanism
-    if checker is None:
-        return None
-    if q is None or mechanism.has_closed_chains or not has_path_search(mechanism) or checker.clearance_violation(q):
-        return checker.clearance_violation
-    in_vain = 0
-
-    def violation(pose: np.ndarray) -> float:
-        nonlocal in_vain
-        depth = checker.clearance_violation(pose)
-        if depth > 0.0 or in_vain == PATHS:
-            return max(depth, _NO_PATH)
-        found = checker.find_path(q, pose) is not None
-        in_vain += not found
-        return 0.0 if found else _NO_PATH
-
-    return violation
 
 
 def _check_constraints(task: Task, search: _Search, q: np.ndarray, stage: int, here: Sequence[TimedGoal]) -> None:
