@@ -271,11 +271,13 @@ class _DurationSearch:
         """
         assert problem.limits is not None  # set by _exact
         limit = with_overrides(options.get("options"), max_iterations=options.get("max_iterations")).max_iterations
-        plan = solve(problem, **options | {"max_iterations": min(LOOK, limit)})
+        first: dict[str, Any] = options | {"max_iterations": min(LOOK, limit)}
+        plan = solve(problem, **first)
         ended = plan.status is not Status.MAX_ITERATIONS or limit <= LOOK
         if ended or not _outside(problem, plan) <= MAX_VIOLATION_RATIO * problem.limits.tolerance:
             return plan
-        return solve(problem, **options | {"warm_start": plan, "max_iterations": min(limit - LOOK, SECOND_LOOK)})
+        then: dict[str, Any] = options | {"warm_start": plan, "max_iterations": min(limit - LOOK, SECOND_LOOK)}
+        return solve(problem, **then)
 
     def best_plan(self, options: dict[str, Any]) -> Plan:
         """The best plan with the whole objective, time included; the last plan if none satisfies the limits."""
