@@ -237,7 +237,7 @@ def test_a_foot_that_no_phase_lifts_stays(tmp_path):
     ("gait", "message"),
     [
         ('"canter"', "gait is 'canter', expected one of: trot, walk"),
-        ("3", "gait is 3, expected one of trot"),
+        ("3", "gait is 3, expected one of: trot"),
         ('{ kind = "trot", legs = 4 }', "a key of gait is 'legs'"),
         ('{ kind = "trot", feet = { trunk = 0.0 } }', "kind and feet, or neither"),
         ('{ kind = "trot", duty = 1.0 }', "duty of gait is 1.0"),
