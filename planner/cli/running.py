@@ -165,7 +165,9 @@ def _show_step(console: Console, step: Step) -> None:
         console.write_result(f"{_OUTCOMES[step.outcome]}{reason}: {step.fix}")
 
 
-FIRST_SHARE = 0.5  # of the work, at most, for the first solve: the rest is for the repair of a plan that fails
+# Of the work, at most, for the first solve, and for a search over durations, of which one repairs less: the rest is for
+# the repair of a plan that fails.
+FIRST_SHARE, SEARCH_SHARE = 0.5, 0.8
 MAX_ROLLOUT_SECONDS = 20.0  # time limit of the perturbed simulations; `planner prove` has none
 MEASURED_AFTER = 2.0  # proofs: what the steps after the verdict take that are only shown
 FLAGS = ("update", "line_search", "hessian", "max_iterations", "rank", "no_refine", "rollouts", "hold", "work",
@@ -220,7 +222,8 @@ def _run(
         failures = parity(asked.problem).failures
         if failures:
             raise PlannerError(f"the plan's dynamics and MuJoCo's differ: {failures[0]}, {failures[0].note}.")
-        plan, seconds = solved(asked, arguments, console, executor, budget=budget.part("first solve", FIRST_SHARE))
+        share = FIRST_SHARE if asked.durations is None else SEARCH_SHARE
+        plan, seconds = solved(asked, arguments, console, executor, budget=budget.part("first solve", share))
         folder.begin("plan.npz", plan.save, seconds=seconds)
     else:
         console.write_progress(f"continuing {folder.path}, which holds {', '.join(sorted(folder.finished))}")
