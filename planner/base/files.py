@@ -10,6 +10,7 @@ import difflib
 import errno
 import fcntl
 import hashlib
+import json
 import os
 import shutil
 import stat
@@ -54,8 +55,9 @@ _SENTENCES = {
 
 
 CONFINE = "PLANNER_CONFINE"
-"""Variable of the environment, also of child processes: the folders beside the package outside of which nothing is read
-as an input, a line each, the one that the user named first; see `confined`."""
+"""Variable of the environment, also of child processes: the folder beside the package outside of which nothing is read
+as an input; see `confined`."""
+_WRITTEN = "PLANNER_CONFINE_WRITTEN"  # the same: files that this process writes, a JSON list
 _OWN = (Path(__file__).parents[1], Path(__file__).parents[2] / "mjcf")  # models of cases are inputs too
 
 
@@ -72,20 +74,20 @@ def confined(folder: PathLike | None) -> Iterator[None]:
         yield
 
 
-def also_from(folder: PathLike) -> AbstractContextManager[None]:
-    """A context in which files of a folder that this process writes may be read, too, where inputs are confined."""
-    given = os.environ.get(CONFINE)
-    return variables_set({CONFINE: "\n".join((given, os.path.realpath(folder)))} if given else {})
+def also_reading(files: Iterable[PathLike]) -> AbstractContextManager[None]:
+    """A context in which these files, which this process writes, may be read, too, where inputs are confined."""
+    return variables_set({_WRITTEN: json.dumps([os.path.realpath(file) for file in files])})
 
 
 def check_confined(path: PathLike, what: str, raises: type[PlannerError] = FileError) -> None:
     """Raise unless a file lies in the folder to which inputs are confined, or in the package."""
-    folders = os.environ.get(CONFINE, "").split("\n")
-    if not folders[0] or "\0" in os.fsdecode(path):  # no file can have that name
+    folder = os.environ.get(CONFINE)
+    if not folder or "\0" in os.fsdecode(path):  # no file can have that name
         return
-    place, named = Path(os.path.realpath(path)), printable(folders[0])
-    if not any(place.is_relative_to(root) for root in (*folders, *_OWN)):
-        raise raises(f"{what} {printable(path)} is outside of {named}, expected a file in it (--confine).")
+    place = Path(os.path.realpath(path))
+    written = str(place) in json.loads(os.environ.get(_WRITTEN, "[]"))
+    if not written and not any(place.is_relative_to(root) for root in (folder, *_OWN)):
+        raise raises(f"{what} {printable(path)} is outside of {printable(folder)}, expected a file in it (--confine).")
 
 
 def read_input(path: PathLike, what: str, *, most: int = ASSET_LIMIT, raises: type[PlannerError] = FileError) -> bytes:

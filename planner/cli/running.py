@@ -23,7 +23,15 @@ from planner.base.arguments import number
 from planner.base.data_files import finite, json_text
 from planner.base.environment import installed_versions
 from planner.base.errors import PlannerError
-from planner.base.files import PathLike, also_from, file_error, folder_lock, open_folder, remove_empty, write_atomically
+from planner.base.files import (
+    PathLike,
+    also_reading,
+    file_error,
+    folder_lock,
+    open_folder,
+    remove_empty,
+    write_atomically,
+)
 from planner.cases.plan_file import load_plan
 from planner.cases.problem_file import ProblemFile
 from planner.cli import results, solving
@@ -96,7 +104,7 @@ def run_folder(path: PathLike, outputs: Iterable[str], asked: dict[str, Any]) ->
     probe, created = open_folder(place, folder.outputs)
     try:
         probe.rmdir()
-        with folder_lock(place), also_from(place):
+        with folder_lock(place), also_reading(place / name for name in (*folder.outputs, MARK, ROLLOUTS)):
             mark = _mark(place / MARK)
             if mark.get("run") == run and (place / folder.outputs[0]).is_file():
                 folder.began, folder.notes = True, mark.get("notes", {})

@@ -6,7 +6,7 @@ import pytest
 
 from planner.__main__ import main
 from planner.base.errors import FileError
-from planner.base.files import CONFINE, also_from, confined, read_input
+from planner.base.files import CONFINE, also_reading, confined, read_input
 
 ARM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0"/><geom name="link" size="0.1" pos="0 0 -1"/>
 <site name="hand"/></body></worldbody><actuator><motor joint="hinge"/></actuator></mujoco>"""
@@ -91,5 +91,11 @@ def test_a_run_reads_what_it_wrote_outside(places, capsys, monkeypatch):
     words = ["run", "inside/reach.toml", "--confine", "inside", "--no-video", "--rollouts", "0"]
     assert main(words) == 0, capsys.readouterr().err
     assert (inside.parent / "renders" / "reach" / "report.html").is_file()
-    with confined(inside), also_from(inside.parent / "renders"), pytest.raises(FileError, match="inside, expected"):
-        read_input(outside, "the model")
+    plan = inside.parent / "renders" / "reach" / "plan.npz"
+    with confined(inside), also_reading([plan]):
+        assert read_input(plan, "the plan")
+        for other in (outside, plan.with_name("proof.json")):
+            with pytest.raises(FileError, match="inside, expected"):
+                read_input(other, "the model")
+    with confined(inside), pytest.raises(FileError, match="inside, expected"):
+        read_input(plan, "the plan")
