@@ -101,17 +101,20 @@ def check_values(table: Mapping[str, Any], rules: Mapping[str, Mapping[str, Any]
 
     Args:
         table: Values by key.
-        rules: By key, `choices`: it is one of these words, or a table; else it is a number with the bounds of number(),
-            or of count() where it is `whole`. A `word` may stand in its place.
+        rules: By key, `choices`: it is one of these words, or a table where `or_table` says so; else it is a number
+            with the bounds of number(), or of count() where it is `whole`. A `word` may stand in its place.
 
     Raises:
         PlannerError: One of them is something else.
     """
 
-    def checked(name: str, word: str = "", whole: bool = False, choices: Collection[str] = (), **bounds: Any) -> Any:
+    def checked(
+        name: str, word: str = "", whole: bool = False, choices: Collection[str] = (), or_table: bool = False,
+        **bounds: Any,
+    ) -> Any:  # fmt: skip
         value = table[name]
         if choices:
-            return value if isinstance(value, Mapping) else choice(name, value, choices)
+            return value if or_table and isinstance(value, Mapping) else choice(name, value, choices)
         if isinstance(value, str) and value == word:
             return value
         try:

@@ -24,7 +24,8 @@ EXTRA_SHARE = 0.5  # of the required clearance, in addition to it, in the first 
 ROUNDED_SHARE = 0.1  # of the required clearance, the clearance at rounded corners of a path
 
 _paths: WeakKeyDictionary[Mechanism, dict[bytes, np.ndarray | None]] = WeakKeyDictionary()
-"""Cache of paths by ends, pairs, clearances and seed, since a problem is rebuilt for every finer discretization."""
+"""Cache of paths by all that decides them: ends, pairs, clearances, offsets, seed and number of samples. A problem is
+rebuilt for every finer discretization."""
 STEP = 0.05  # rad or m of the joint that moves most, between poses that are checked
 MAX_STEPS = 10  # by which a tree grows towards a sample
 MAX_SAMPLES, MORE_SAMPLES = 600, 3000  # of a search; of one for a motion on which a solve is to begin
@@ -97,7 +98,8 @@ class CollisionChecker:
         """
         paths = _paths.setdefault(self._mechanism, {})
         numbers = seed.to_bytes(8, "little"), samples.to_bytes(8, "little")
-        key = b"".join([start.tobytes(), goal.tobytes(), self._lower.tobytes(), *numbers, self._names])
+        sizes = self._lower.tobytes(), self._clearance.more.tobytes(), self._offset.tobytes()
+        key = b"".join([start.tobytes(), goal.tobytes(), *sizes, *numbers, self._names])
         if key not in paths:
             closer = self.without_extra
             in_vain = closer is not self and closer.find_path(start, goal, seed, samples) is None

@@ -52,8 +52,8 @@ def finer(problem: Problem, keep_substeps: bool = False) -> Problem:
 
     Args:
         problem: Any.
-        keep_substeps: Whether a stage keeps its number of substeps. Else it has as many as make them no longer: then
-            half a stage may be integrated in steps that are hardly shorter.
+        keep_substeps: Whether a stage keeps its number of substeps. Else it has as many as make them no longer, where
+            the planner chooses them: then half a stage may be integrated in steps that are hardly shorter.
 
     Raises:
         PlannerError: Parts without with_step and resampled, or more than 100 000 stages.
@@ -97,7 +97,11 @@ def retimed(problem: Problem, duration: float) -> Problem:
         guess = {"guess": names["guess"]} if "guess" in names else {}  # its own is not needed, and may take long
         changes = ({"dt": dt} if "dt" in names else {}) | dict.fromkeys(guess, "zero")
         new = base_problem(problem.recipe.rebuilt(duration=duration, **changes))
-        recipe = None if new.recipe is None else new.recipe.changed(**guess)
+        recipe = (
+            None
+            if new.recipe is None
+            else replace(new.recipe, parameters=new.recipe.parameters | guess, found=new.recipe.found, _parts=())
+        )
         return replace(new, limits=problem.limits, us=problem.first_guess, twin=problem.twin, recipe=recipe)
     dynamics = _with_step(problem.dynamics, dt, getattr(problem.dynamics, "integrator", None))
     return replace(

@@ -239,9 +239,10 @@ class _DurationSearch:
                 free = replace(free, limits=None)
             problem = replace(problem, us=warm_start(solve(free, **single_start(options)), problem))
         looks = self.alone and bool(self.plans) and begin != AFRESH
-        plan = self.last = self._with_first_look(problem, options) if looks else solve(problem, **options)
-        outside = _outside(problem, plan)
-        line = DurationTrial(len(self.tried), duration, plan.cost, outside, plan.nit, plan.status)
+        plan, iterations = self._by_looks(problem, options) if looks else (solve(problem, **options), None)
+        self.last, outside = plan, _outside(problem, plan)
+        iterations = plan.nit if iterations is None else iterations
+        line = DurationTrial(len(self.tried), duration, plan.cost, outside, iterations, plan.status)
         self.tried.append(line)
         if self.callback is not None:
             self.callback(line)
@@ -263,21 +264,23 @@ class _DurationSearch:
         """The objective of a trial, time included."""
         return self.weights["time"] * trial.duration + trial.cost
 
-    def _with_first_look(self, problem: Problem, options: dict[str, Any]) -> Plan:
-        """A solve that goes on after LOOK iterations only where it is undecided whether the duration is too short.
+    def _by_looks(self, problem: Problem, options: dict[str, Any]) -> tuple[Plan, int]:
+        """A solve that goes on only where it is undecided whether the duration is too short, and its iterations.
 
         From a similar duration a feasible plan usually takes some dozens of iterations. A violation above
-        MAX_VIOLATION_RATIO tolerances then means that the duration is too short.
+        MAX_VIOLATION_RATIO tolerances then means that the duration is too short, and any after SECOND_LOOK more.
         """
         assert problem.limits is not None  # set by _exact
-        limit = with_overrides(options.get("options"), max_iterations=options.get("max_iterations")).max_iterations
-        first: dict[str, Any] = options | {"max_iterations": min(LOOK, limit)}
-        plan = solve(problem, **first)
-        ended = plan.status is not Status.MAX_ITERATIONS or limit <= LOOK
-        if ended or not _outside(problem, plan) <= MAX_VIOLATION_RATIO * problem.limits.tolerance:
-            return plan
-        then: dict[str, Any] = options | {"warm_start": plan, "max_iterations": min(limit - LOOK, SECOND_LOOK)}
-        return solve(problem, **then)
+        left = with_overrides(options.get("options"), max_iterations=options.get("max_iterations")).max_iterations
+        tolerance, iterations, given = problem.limits.tolerance, 0, options
+        for most, largest in ((LOOK, MAX_VIOLATION_RATIO * tolerance), (SECOND_LOOK, tolerance), (left, 0.0)):
+            part: dict[str, Any] = given | {"max_iterations": min(most, left)}
+            plan = solve(problem, **part)
+            iterations, left = iterations + plan.nit, left - min(most, left)
+            if plan.status is not Status.MAX_ITERATIONS or left == 0 or not _outside(problem, plan) <= largest:
+                break
+            given = options | {"warm_start": plan}
+        return plan, iterations
 
     def best_plan(self, options: dict[str, Any]) -> Plan:
         """The best plan with the whole objective, time included; the last plan if none satisfies the limits."""
@@ -335,7 +338,7 @@ def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: 
         shorter, spent = _SHORTER * high, search.budget is not None and search.budget.exhausted
         if spent or shorter < shortest or misses(shorter, AFRESH):
             return
-        low, high, too_short = shorter, shorter, 0.0
+        low, high, ratio, too_short = shorter, shorter, _SHRINK, 0.0
 
 
 def _cheapest(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:

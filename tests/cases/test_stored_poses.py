@@ -7,6 +7,7 @@ from arms import hand, write
 import planner
 from planner.cases.problem_file import build, load
 from planner.problem.archive import PART
+from planner.problem.rediscretize import retimed
 from planner.problem.tasks import poses
 
 MIDDLE, END = ([float(x), 0.0, float(z)] for x, z in (hand(-2.0, -0.8), hand(-1.0, -1.2)))
@@ -93,3 +94,10 @@ def test_poses_of_a_changed_task_are_found_anew(stored, searches):
     found = other.recipe.found["poses"]
     assert len(found) == 2
     assert np.abs(found[-1] - problem.recipe.found["poses"][-1]).max() > 0.1
+
+
+def test_a_plan_of_another_duration_has_its_poses_too(stored):
+    problem = planner.load_plan(stored[1]).problem
+    slow = retimed(problem, 2.0 * problem.duration)
+    assert set(slow.recipe.found) == set(problem.recipe.found)
+    np.testing.assert_allclose(slow.recipe.found["poses"][-1, 2:], problem.recipe.found["poses"][-1, 2:], atol=1e-3)

@@ -1,5 +1,6 @@
 """Of the poses that reach a goal one is taken to which a path without collisions leads; and what is said of none."""
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -70,6 +71,32 @@ def test_a_wall_without_an_end_is_said(tmp_path, height):
     plan = planner.solve(problem, options=planner.SolverOptions(homotopy=False))
     codes = [one.code for one in suggested_fixes(plan)]
     assert codes == (["no_way_around"] if height > 1.0 else [])
+
+
+def test_checkers_of_other_offsets_or_clearances_search_for_themselves(tmp_path, monkeypatch):
+    """They share a machine, whose paths are cached: else a plan would depend on what was searched before it."""
+    (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
+    (tmp_path / "problem.toml").write_text(TOML, encoding="utf-8")
+    problem = planner.load_problem(tmp_path / "problem.toml")
+    apart, searched = pair_clearance_of(problem.constraints), []
+    moved = replace(apart, pairs=tuple(pair._replace(distance_offset=0.01) for pair in apart.pairs))
+    wider = replace(apart, more=np.full(len(apart.pairs), 0.01))
+    monkeypatch.setattr(CollisionChecker, "_search", lambda self, *ends: searched.append(self) or np.zeros((2, 2)))
+    checkers = [CollisionChecker(one, problem.dynamics.mechanism) for one in (apart, moved, wider, apart)]
+    for checker in checkers:
+        checker.find_path(np.zeros(2), np.ones(2), samples=8)
+    assert searched == checkers[:3]
+
+
+def test_the_way_to_a_pose_begins_where_the_machine_was(tmp_path, monkeypatch):
+    """Not where the joints that have goals of their own at that time are to be."""
+    (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
+    (tmp_path / "problem.toml").write_text(f"{TOML}[[goal]]\njoints = {{ b = 0.5 }}\n", encoding="utf-8")
+    starts, own = [], CollisionChecker.violation_from
+    monkeypatch.setattr(CollisionChecker, "violation_from", lambda self, q: starts.append(q) or own(self, q))
+    with contextlib.suppress(planner.PlannerError):  # whether this place is reached does not matter
+        planner.load_problem(tmp_path / "problem.toml")
+    np.testing.assert_array_equal(starts[0], [0.2, 0.4])
 
 
 def test_more_clearance_is_not_tried_where_the_required_one_finds_nothing(tmp_path, monkeypatch):

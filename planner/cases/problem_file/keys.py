@@ -194,8 +194,8 @@ TABLES = {
 VALUES: dict[str, dict[str, Any]] = {
     "dt": {"word": "auto", "greater_than": 0.0}, "substeps": {"word": "auto", "whole": True, "maximum": MAX_SUBSTEPS},
     "starts": {"whole": True, "maximum": MAX_STARTS}, "seed": {"whole": True, "minimum": 0},
-    "work": {"greater_than": 0.0}, "guess": {"choices": GUESSES}, "contacts": {"choices": MODES},
-    "integrator": {"choices": ("auto", *KNOWN_INTEGRATORS)}, "gait": {"choices": tuple(TURNS)},
+    "work": {"greater_than": 0.0}, "guess": {"choices": GUESSES}, "contacts": {"choices": MODES, "or_table": True},
+    "integrator": {"choices": ("auto", *KNOWN_INTEGRATORS)}, "gait": {"choices": tuple(TURNS), "or_table": True},
 }  # fmt: skip
 """Of keys whose value is one of some words (or a table) or a number: those words, or the number's bounds."""
 DEFAULTS: dict[str, Any] = {

@@ -191,7 +191,7 @@ def _pose(
     task: Task, search: _Search, q: np.ndarray, asked: StageTargets, stage: int, here: Sequence[TimedGoal]
 ) -> np.ndarray:  # fmt: skip
     """The configuration (nq,) at a stage."""
-    mechanism, ranges = task.mechanism, search.ranges
+    mechanism, ranges, before = task.mechanism, search.ranges, q
     q = q.copy()
     for dof, value in asked.joints.items():
         q[mechanism.q_address[dof]] = value
@@ -200,7 +200,7 @@ def _pose(
     if mechanism.has_closed_chains:
         x = np.concatenate([q, np.zeros(mechanism.space.nx - len(q))])
         q = assembled(mechanism, x, asked.joints)[: len(q)]
-    violation = None if search.checker is None else search.checker.violation_from(q if here else None)
+    violation = None if search.checker is None else search.checker.violation_from(before if here else None)
     missing = None if search.constraints is None else search.constraints.at(stage)
     if not asked.targets:
         if search.check and missing is not None:

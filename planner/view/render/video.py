@@ -110,9 +110,11 @@ def _check_length(seconds: float, fps: float, speed: float) -> None:
             f"{most:g} s: a speed of {math.ceil(1e4 * seconds / most) / 1e4:g} or more."
         )
     if not plays * fps <= _MAX_FRAMES:
+        rate, least = math.floor(_MAX_FRAMES / plays), plays * speed / _MAX_FRAMES
+        write = f"fps of {rate} or less" if rate else f"a speed of {least:.3g} or more"
         raise PlannerError(
             f"{seconds:g} s at speed {speed:g} and {fps:g} fps are {plays * fps:,.0f} frames, expected at most "
-            f"{_MAX_FRAMES}: fps of {math.floor(_MAX_FRAMES / plays)} or less."
+            f"{_MAX_FRAMES}: {write}."
         )
 
 
@@ -150,6 +152,9 @@ def _caption(proof: Proof, mode: str) -> Caption:
     why = ""
     if reproduces:
         why = "not optimal"
+    elif proof.mode is None and sections[f"refined_{mode.replace('-', '_')}"].passed:
+        failed = (section.title for section in sections.values() if section.failures)
+        why = "in your file" if sections["your_file"].failures else next(failed, "")
     elif mode == "open-loop" and proof.mode == "feedback" and sections["refined_open_loop"].passed:
         in_file = any(one.name == OPEN_LOOP_MISSES and one.value for one in sections["your_file"].measured)
         why = "in your file" if in_file else "goal" if sections["order"].passed else "step convergence"

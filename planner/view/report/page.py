@@ -122,11 +122,9 @@ def _notes(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> li
     else:
         reason = "There is no finite plan that could be replayed."
     notes = [("", reason)]
-    for k, fix in enumerate(fixes):
-        label = (
-            "Or" if k else "To pass" if getattr(fix, "written", "") else ""
-        )  # without a change it says why none helps
-        notes.append((label, str(fix)))
+    labels = iter(["To pass"])
+    for fix in fixes:  # without a change it says why none helps
+        notes.append((next(labels, "Or") if getattr(fix, "written", "") else "", str(fix)))
     if not plan.converged and not fixes:  # a finding says more than the solver's own words, which may contradict it
         notes.append(("The solver did not converge", plan.message))
     if proof is not None:
