@@ -1,8 +1,8 @@
 """Which columns of a recording are positions of joints, and which are controls: joints and actuators may share names.
 
 `position of elbow` is of the joint. `elbow` is of the joint, too, unless it may be the actuator's: the file has other
-columns `position of ...`, as an exported plan has, or the column's unit is no position's. With the unit of a position it
-is the joint's, unless the actuator's is the same.
+columns `position of ...`, as an exported plan has, or the column's unit is no position's. With a position's unit it is
+the joint's, unless the actuator has the same.
 """
 
 from __future__ import annotations
