@@ -177,7 +177,7 @@ def _columns(recording: Recording, mechanism: Mechanism, path: str | Path, motio
     joints = [name for name in mechanism.joint_names if name]
     if len(set(names)) == len(names):
         positions = position_columns(recording, joints, units)
-        controls = {} if motion else control_columns(recording, units)
+        controls = {} if motion else control_columns(recording, joints, units)
         number_of = {name: a for a, name in enumerate(mechanism.actuators.names)}
         by_actuator = {number_of[name]: column for name, column in controls.items()}
         if len(controls) == len(names):

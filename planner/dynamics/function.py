@@ -73,6 +73,9 @@ class FunctionDynamics:
     ) -> FunctionDynamics:  # fmt: skip
         """Dynamics from a function of one state that is written with jax.numpy; Jacobians are exact.
 
+        JAX has to compute with 64 bits, jax.config.update("jax_enable_x64", True), which holds for all of JAX in the
+        process. Processes import f: it is to be a function of a module that switches them on, too.
+
         Args:
             f: dx/dt = f(x, u) of x (nx,) and u (nu,); it is compiled, and taken to many states by jax.vmap.
             nx: Size of the state.
@@ -82,18 +85,19 @@ class FunctionDynamics:
             coordinates: As of FunctionDynamics.
 
         Raises:
-            PlannerError: JAX is not installed or computes with 32 bits, it cannot trace f, or an argument is wrong.
+            PlannerError: JAX is not installed or computes with 32 bits, it cannot trace f, f is of other numbers than
+                float64, or an argument is wrong.
         """
-        from planner.dynamics.automatic_differentiation import jax_functions  # local: of an extra
+        from planner.dynamics.automatic_differentiation import JaxRates  # local: of an extra
 
-        values, jacobian = jax_functions(f, count("nx", nx), count("nu", nu))
-        return cls(values, nx, nu, dt, integrator, jacobian, coordinates)
+        rates = JaxRates(f, count("nx", nx), count("nu", nu))
+        return cls(rates.values, nx, nu, dt, integrator, rates.jacobian, coordinates)
 
     @classmethod
     def from_casadi(
         cls, F: Any, dt: float, integrator: str = "rk4", coordinates: Sequence[tuple[str, str]] | None = None
     ) -> FunctionDynamics:
-        """Dynamics from a casadi.Function; Jacobians are exact.
+        """Dynamics from a casadi.Function; Jacobians are exact. They can be sent to processes.
 
         Args:
             F: dx/dt = F(x, u) of columns x (nx, 1) and u (nu, 1); it is taken to many states by its map().
@@ -104,10 +108,10 @@ class FunctionDynamics:
         Raises:
             PlannerError: CasADi is not installed, or an argument is wrong.
         """
-        from planner.dynamics.automatic_differentiation import casadi_functions  # local: of an extra
+        from planner.dynamics.automatic_differentiation import CasadiRates  # local: of an extra
 
-        values, jacobian, nx, nu = casadi_functions(F)
-        return cls(values, nx, nu, dt, integrator, jacobian, coordinates)
+        rates = CasadiRates(F)
+        return cls(rates.values, rates.nx, rates.nu, dt, integrator, rates.jacobian, coordinates)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(nx {self.nx}, nu {self.nu}, {self.integrator}, dt {self.dt:g})"

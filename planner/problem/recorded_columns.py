@@ -1,7 +1,8 @@
 """Which columns of a recording are positions of joints, and which are controls: joints and actuators may share names.
 
 `position of elbow` is of the joint. `elbow` is of the joint, too, unless it may be the actuator's: the file has other
-columns `position of ...`, as an exported plan has, or the column's unit is no position's.
+columns `position of ...`, as an exported plan has, or the column's unit is no position's. With a position's unit it is
+the joint's, unless the actuator has the same.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Collection, Mapping
 from planner.problem.recording import POSITION, TIME, Recording
 
 VELOCITY = "velocity of "
-_ANGLES_AND_LENGTHS = ("", "rad", "m")
+_OF_POSITIONS = ("rad", "m")
 _OF_EXPORTS = (POSITION, VELOCITY, "activation of ", "acceleration of ", "stands: ")
 
 
@@ -24,16 +25,19 @@ def position_columns(recording: Recording, joints: Collection[str], actuators: C
             found[joint] = heading.index(POSITION + joint)
         elif joint in heading and not (told_apart and joint in actuators):
             column = heading.index(joint)
-            if recording.unit(column) in _ANGLES_AND_LENGTHS:
+            if recording.unit(column) in ("", *_OF_POSITIONS):
                 found[joint] = column
     return dict(sorted(found.items(), key=lambda one: one[1]))
 
 
-def control_columns(recording: Recording, units: Mapping[str, str]) -> dict[str, int]:
+def control_columns(recording: Recording, joints: Collection[str], units: Mapping[str, str]) -> dict[str, int]:
     """The column of each actuator that the recording has controls of; `units` by actuator, "" where unknown."""
     found = {}
     for column, name in enumerate(recording.heading):
-        if name in units and (recording.unit(column) in ("", units[name]) or not units[name]):
+        if name not in units:
+            continue
+        unit, own = recording.unit(column), units[name]
+        if unit in ("", own) or not (own or (name in joints and unit in _OF_POSITIONS)):
             found[name] = column
     return found
 

@@ -41,7 +41,9 @@ from planner.sweeps.stored_model import ModelState, StoredModel, stated, stated_
 TOLERANCE = 0.05  # relative: another release of MuJoCo or another processor changes less
 _ROUNDING = 1e-9  # smaller changes of a number without a bound are rounding
 _TWO_DIGITS = 0.1  # relative: what rounding to two digits, as in phrases, may change
-_DECIMAL = re.compile(r"\d+\.\d+(?:e[-+]?\d+)?|\d+e[-+]?\d+")  # in a phrase: whole numbers may be of names
+_UNIT = r" ?%| (?:rad|deg|degrees|m|cm|mm|s|ms|kg|N|J|W|Hz|1/s)(?!\w)"
+_VALUE = re.compile(rf"(?<![\w.])(?:\d+\.\d+(?:e[-+]?\d+)?|\d+e[-+]?\d+|\d+(?={_UNIT}))(?!\.?\d)")
+"""A value in a phrase: with a point or a power of ten, or before a unit; other whole numbers may be of names."""
 _OF_BOUND = 1e-3  # smaller changes relative to the bound do not count
 MAX_ROLLOUTS = 1_000_000
 _RANK = {("PASS", "open-loop"): 2, ("PASS", "feedback"): 1}
@@ -288,8 +290,8 @@ def _words(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> Ite
 
 
 def _same_phrase(one: str, other: str, tolerance: float) -> bool:
-    """Whether two phrases have the same words, and decimal numbers that are equal but for a tolerance and rounding."""
-    (words, numbers), (others, values) = ((_DECIMAL.split(text), _DECIMAL.findall(text)) for text in (one, other))
+    """Whether two phrases have the same words, and values that are equal but for a tolerance and rounding."""
+    (words, numbers), (others, values) = ((_VALUE.split(text), _VALUE.findall(text)) for text in (one, other))
     pairs = zip(map(float, numbers), map(float, values), strict=False)
     return words == others and all(math.isclose(a, b, rel_tol=max(tolerance, _TWO_DIGITS)) for a, b in pairs)
 

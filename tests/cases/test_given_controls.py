@@ -94,6 +94,23 @@ def test_positions_are_followed(solved, model, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("actuator", "positions"),
+    [
+        ('motor name="a" joint="a" gear="50"', ("a [deg]", "a [rad]")),  # the control's unit is unknown
+        ('motor name="a" joint="a"', ("a [deg]", "a [rad]")), ('position name="a" joint="a" kp="9"', ()),
+    ],
+)  # fmt: skip
+def test_a_unit_tells_positions_from_controls_of_the_same_name(actuator, positions, tmp_path):
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size="0.1" pos="0 0 -1"/></body></worldbody>'
+        f"<actuator><{actuator}/></actuator></mujoco>"
+    )
+    for heading in ("a", "a [deg]", "a [rad]"):
+        file = write(tmp_path / "u.csv", [heading], np.full((20, 1), 0.1), 0.01)
+        assert plan_of_controls(file, tmp_path / "arm.xml").K.any() == (heading in positions)  # followed by gains
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("", "expected a header"),

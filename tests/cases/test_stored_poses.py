@@ -76,6 +76,8 @@ def test_a_file_of_an_older_version_is_loaded_by_searching(stored, searches, tmp
     ("name", "rows", "said"),
     [
         ("poses", slice(None, -1), "poses are not at stages that rise from 0 to 50"),
+        ("poses", slice(0, 0), "poses are not at stages that rise from 0 to 50"),
+        ("poses", [0, -1], "poses have none at stage 25, expected one at each goal"),
         ("us", slice(1, None), r"us has shape \(49, 2\), expected \(50, 2\)"),
     ],
 )

@@ -1,8 +1,9 @@
 """Functions of JAX and CasADi as dynamics: beside those of NumPy, with the packages where they are, else stand-ins."""
 
+import pickle
 import re
 import sys
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -104,10 +105,14 @@ def of_stand_in_for_casadi(monkeypatch):
     return FunctionDynamics.from_casadi(StandInForCasadi.Function("f", ["x", "u"], [rates]), DT)
 
 
+def rates_in_jax(x, u):
+    return rates(x, u, sys.modules["jax"].numpy)
+
+
 def of_jax(monkeypatch):
     jax = pytest.importorskip("jax")
     jax.config.update("jax_enable_x64", True)
-    return FunctionDynamics.from_jax(lambda x, u: rates(x, u, jax.numpy), NX, NU, DT)
+    return FunctionDynamics.from_jax(rates_in_jax, NX, NU, DT)
 
 
 def of_casadi(monkeypatch):
@@ -117,7 +122,21 @@ def of_casadi(monkeypatch):
     return FunctionDynamics.from_casadi(F, DT)
 
 
-@pytest.mark.parametrize("make", [of_stand_in_for_jax, of_stand_in_for_casadi, of_jax, of_casadi])
+@pytest.fixture(autouse=True)
+def bits_as_before():
+    """JAX's 64 bits are switched on for the whole process: each test leaves them as they were."""
+    jax = sys.modules.get("jax")
+    before = jax.config.jax_enable_x64 if jax is not None else False
+    yield
+    jax = sys.modules.get("jax")
+    if isinstance(jax, ModuleType):  # no stand-in
+        jax.config.update("jax_enable_x64", before)
+
+
+MAKERS = pytest.mark.parametrize("make", [of_stand_in_for_jax, of_stand_in_for_casadi, of_jax, of_casadi])
+
+
+@MAKERS
 def test_dynamics_and_derivatives_are_those_of_the_function_in_numpy(make, monkeypatch):
     dynamics = make(monkeypatch)
     assert dynamics.batched
@@ -132,6 +151,27 @@ def test_dynamics_and_derivatives_are_those_of_the_function_in_numpy(make, monke
     assert check_derivatives(dynamics).passed
     halved = dynamics.with_step(0.5 * DT, "euler")
     np.testing.assert_allclose(halved.step(xs[:1], us[:1])[0], xs[0] + 0.5 * DT * np.array(rates(xs[0], us[0])))
+
+
+@MAKERS
+def test_dynamics_can_be_sent_to_processes(make, monkeypatch):
+    """Before and after what is compiled was made; it is not sent."""
+    dynamics = make(monkeypatch)
+    xs, us = np.ones((3, NX)), np.ones((2, NU))
+    expected = dynamics.linearize(xs, us)
+    sent = pickle.loads(pickle.dumps(dynamics))
+    again = pickle.loads(pickle.dumps(sent))
+    for one in (sent, again):
+        np.testing.assert_array_equal(one.step(xs[:-1], us), dynamics.step(xs[:-1], us))
+        for ours, theirs in zip(one.linearize(xs, us), expected, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_process_of_32_bits_is_told_where_to_switch_on_64(monkeypatch):
+    sent = pickle.dumps(of_stand_in_for_jax(monkeypatch))
+    monkeypatch.setitem(sys.modules, "jax", stand_in_for_jax(bits=32))
+    with pytest.raises(PlannerError, match=r"after import jax in the file that defines f\. It holds for all of JAX"):
+        pickle.loads(sent).step(np.ones((1, NX)), np.ones((1, NU)))
 
 
 @pytest.mark.parametrize("name", ["jax", "casadi"])
@@ -150,6 +190,7 @@ def test_what_jax_cannot_take_is_refused_in_a_sentence(monkeypatch):
     for f, words in (
         (3, "f is 3, expected a function"), (lambda x, u: x[:1], r"shape \(1,\), expected \(3,\)"),
         (lambda x, u: 1 // 0, "cannot be traced by JAX"),
+        (lambda x, u: np.array(rates(x, u)).astype(np.float32), r"f\(x, u\) is of float32, expected float64"),
     ):  # fmt: skip
         with pytest.raises(PlannerError, match=words):
             FunctionDynamics.from_jax(f, NX, NU, DT)

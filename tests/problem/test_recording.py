@@ -120,6 +120,9 @@ def test_columns_of_something_else_are_asked_about(tmp_path):
         follow(tmp_path, "t,elbow,gripper\n0,1,1\n1,1,1\n")
     with pytest.raises(FileError, match=r"the column 'elbw', .*Did you mean 'elbow'\?$"):
         follow(tmp_path, "t,elbw\n0,1\n1,1\n")
+    with pytest.raises(FileError, match=r"of the joint 'elbow', expected .*'position of elbow' .*; without a heading"):
+        follow(tmp_path, "t,q1\n0,1\n1,1\n", ["elbow"])  # as many columns as joints, but of which?
+    assert follow(tmp_path, "0,1\n1,2\n", ["elbow"])[1] == [[0, 1], [1, 2]]
     with pytest.raises(PlannerError, match=r"a joint of follow is 'wrist', expected one of: shoulder, elbow"):
         follow(tmp_path, "t,elbow,wrist\n0,1,1\n1,1,1\n", ["wrist"])
 

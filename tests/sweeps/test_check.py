@@ -114,6 +114,21 @@ def test_phrases_are_compared_by_their_words_and_the_values_in_them(before, outc
     assert [one.regressed for one in changes] == outcome
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("off by 0.98 rad/s", "off by 1 rad/s", True), ("12 mm deep", "13 mm deep", True), ("9.8 %", "10 %", True),
+        ("1 m", "2 m", False), ("1 rad", "1 mm", False), ("leg 1 sinks 12 mm", "leg 2 sinks 12 mm", False),
+        ("knee 1 of 2 legs", "knee 1 of 3 legs", False), ("arm2.51 is off", "arm2.52 is off", False),
+        ("1e-05 N m", "1.04e-05 N m", True), ("100 J", "1.03e+02 J", True), ("axis 1 moves", "axis 1.05 moves", False),
+        ("foot 1 slips", "foot 1.0 slips", False),
+    ],
+)  # fmt: skip
+def test_a_number_before_a_unit_is_a_value_and_one_of_a_name_is_a_word(one, other, same):
+    """Two digits of 0.98 and 1.0 are `0.98` and `1`, which were told as another phrase."""
+    assert regression._same_phrase(one, other, 0.05) is same
+
+
 def test_a_plan_that_is_no_longer_optimal_is_a_regression(folder):
     """Feasible as before, with the same numbers, but the solve did not converge."""
     plan = planner.load_plan(folder / "arm" / "plan.npz")

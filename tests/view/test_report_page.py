@@ -91,7 +91,8 @@ def test_a_finding_stands_in_the_place_of_the_solvers_own_words(plan, tmp_path):
 @pytest.mark.parametrize(
     ("text", "parts"),
     [("short", ("short", "")), ("one two", ("one", " two")), ("unbroken", ("unbro", "ken")),
-     ("a `b c`", ("a ", "`b c`"))],
+     ("a `b c`", ("a ", "`b c`")), ("`unbroken code`", ("`unbr", "oken code`")), ("`a bc d`", ("`a", " bc d`")),
+     ("a ` b c d", ("a `", " b c d")), ("a unbroken", ("a unb", "roken"))],
 )  # fmt: skip
 def test_what_is_long_is_folded_after_a_word(text, parts):
     assert split_after_word(text, 5) == parts

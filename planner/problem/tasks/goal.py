@@ -318,6 +318,8 @@ def with_points(
         for joint in named:
             if choice("a joint of follow", joint, joints) not in found:
                 expected = missing_position(recording, joint, actuators)
+                if not found:
+                    expected += "; without a heading columns are taken in the order of joints"
                 raise FileError(f"{printable(path)} has no positions of the joint {joint!r}, {expected}.")
         rows = rows[:, [*([0] if heading[0] == TIME else []), *(found[joint] for joint in named)]]
     return {**rest, "points": rows.tolist()}

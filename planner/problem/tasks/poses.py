@@ -126,10 +126,14 @@ def stored_poses(table: np.ndarray, task: Task) -> Poses:
         PlannerError: They are not of this task.
     """
     table = array("the table of the plan's poses", table, ("E", 2 + task.mechanism.nq))
-    stages = table[:, 0].astype(int)
-    if stages[[0, -1]].tolist() != [0, task.N] or np.any(np.diff(stages) < 1):
+    stages = table[:, 0]
+    if not len(stages) or stages[[0, -1]].tolist() != [0, task.N] or np.any(np.diff(stages) < 1) or np.any(stages % 1):
         raise PlannerError(f"the plan's poses are not at stages that rise from 0 to {task.N}.")
-    return Poses(stages, table[:, 2:], table[:, 1] != 0.0)
+    if missing := sorted(set(_stages(task)).difference(stages.tolist())):
+        raise PlannerError(
+            f"the plan's poses have none at stage {missing[0]}, expected one at each goal and along paths."
+        )
+    return Poses(stages.astype(int), table[:, 2:], table[:, 1] != 0.0)
 
 
 def _check_joints(task: Task, here: Sequence[TimedGoal], ranges: np.ndarray) -> None:

@@ -62,12 +62,17 @@ def json_block(data: Any) -> Markup:
 
 
 def split_after_word(text: str, most: int) -> tuple[str, str]:
-    """The first letters of a text, at most so many, up to a word's end and no end within ``; and the rest."""
+    """The first letters of a text, at most so many, up to a word's end and no end within ``; and the rest.
+
+    Where that would leave less than a quarter of them, as before a long name, it ends at a word, or else anywhere.
+    """
     if len(text) <= most:
         return text, ""
-    cut = max(text.rfind(" ", 0, most), 0) or most
-    if text.count("`", 0, cut) % 2:  # within code
-        cut = text.rfind("`", 0, cut)
+    cut = text.rfind(" ", 0, most)
+    cut = cut if 4 * cut >= most else most
+    code = text.rfind("`", 0, cut)
+    if text.count("`", 0, cut) % 2 and "`" in text[cut:] and 4 * code >= most:  # within code
+        cut = code
     return text[:cut], text[cut:]
 
 
