@@ -17,7 +17,7 @@ from planner.base.errors import PlannerError
 from planner.base.files import PLANS, check_confined, check_exists, read_input
 from planner.cli.flags import value_of
 from planner.model.robot_collections import PREFIX
-from planner.problem.problem_parts import checked_durations, stages_of, weights_of
+from planner.problem.problem_parts import checked_durations, durations_or_default, stages_of, weights_of
 
 
 def check_inputs(arguments: argparse.Namespace) -> None:
@@ -71,7 +71,7 @@ def _check_parts(table: dict[str, Any]) -> None:
 
     checked_tolerance(table.get("tolerance"))
     objective = weights_of(table["objective"]) if "objective" in table else {}
-    checked_durations(table.get("durations"), objective)
+    checked_durations(durations_or_default(table.get("durations"), objective, 1.0), objective)  # 1 s: of any duration
     if "duration" in table and isinstance(table.get("dt"), (int, float)):
         stages_of(table["duration"], table["dt"])
     goals = table.get("goal")

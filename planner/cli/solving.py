@@ -55,7 +55,7 @@ def asked_problem(arguments: argparse.Namespace) -> ProblemFile:
         )
     if objective is not None:
         problem = with_objective(problem, objective)
-    checked_durations(durations, objective or {})
+    checked_durations(durations_or_default(durations, objective or {}, problem.duration), objective or {})
     return _with_durations(ProblemFile(problem, starts, seed, objective, durations))
 
 

@@ -173,7 +173,8 @@ def _exact(problem: Problem) -> Problem:
     """The problem with an exact goal: with a weighted one the minimum duration would be zero."""
     if problem.bounds is None:
         raise PlannerError(
-            "time alone needs bounds of the controls, expected limits=Limits(control=...), or effort beside time."
+            "time alone needs bounds of the controls, expected `control` in [limits] of a problem file, "
+            "--control-limit of a case, or limits=Limits(control=...); or effort beside time."
         )
     assert problem.limits is not None  # bounds exist
     return problem if problem.limits.final else replace(problem, limits=replace(problem.limits, final=EXACT))

@@ -11,7 +11,9 @@ import pytest
 import planner
 from planner.cases.problem_file import keys
 from planner.cli import case_flags
+from planner.cli.checking import check_inputs
 from planner.cli.flags import value_of
+from planner.cli.parser import parse
 
 SLOW = ("mujoco", "numba", "scipy", "matplotlib")
 
@@ -91,6 +93,14 @@ def test_words_that_are_wrong_or_ask_for_keys_are_answered_without_mujoco_or_num
         expected, sentence = sentences[tuple(words)]
         assert (code, slow) == (expected, []), words
         assert sentence in message
+
+
+@pytest.mark.parametrize("lines", ["", "durations = [0.5, 3.0]\n"], ids=["none", "given"])
+def test_an_objective_with_time_needs_no_durations(tmp_path, lines):
+    """By default they are a fifth and twice the problem's own."""
+    (tmp_path / "here.xml").write_text("")
+    (tmp_path / "time.toml").write_text(f'{RIGHT}objective = "time"\n{lines}')
+    check_inputs(parse(["run", str(tmp_path / "time.toml")]))
 
 
 def test_help_of_a_command_lists_the_flags_of_all_its_cases(capsys):
