@@ -32,6 +32,7 @@ from planner.solvers.gains import has_uncertain_ground, robust_gains
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
+_MANY = 0.3  # of the controls, at bounds
 GAIN_BOUND = 1e-6  # relative; rounding error of a Riccati sweep over unstable stages
 _LAST_DIGITS = 1e-13  # relative rounding errors of states and controls: sums over a tree of links leave 13 of 16 digits
 _LAST_STEP = 1e-8  # rad, m: by how much the last step of a converged solve may move a state
@@ -171,7 +172,7 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed, repeated: bool = F
         note = "of the cost: what one more step of SLQ promises"
         if left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and done:  # a light machine may cost 1e-10
             left, note = 0.0, f"{note}; {left:.3g} of {plan.cost:.3g} is less than what a solve goes on for"
-        if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(plan) or _approximate(problem)):
+        if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(plan) or _approximate(problem) or _clamped(plan)):
             note = f"of the cost: what {STEPS} more steps of SLQ gain; the next promises {100.0 * left / scale:.3g} %"
             left = remaining_decrease(plan, problem)
         left *= 100.0 / scale
@@ -184,6 +185,15 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed, repeated: bool = F
 def _approximate(problem: Problem) -> bool:
     """Whether a cost term uses an approximate Hessian, so that the LQ model's expected reduction is not achieved."""
     return any(isinstance(term, JerkCost) for term in terms_of(problem.cost))
+
+
+def _clamped(plan: Plan) -> bool:
+    """Whether so many controls are at bounds, as in least time, that a sweep promises what no step achieves.
+
+    It clamps stage by stage, and with gains that are zero there.
+    """
+    bounds = None if plan.problem is None else plan.problem.bounds
+    return bounds is not None and float(bounds.at_bound(plan.xs, plan.us).mean()) > _MANY
 
 
 def _unseen(plan: Plan, problem: Problem) -> float:
