@@ -1,12 +1,16 @@
 """What is printed: at a terminal the last line of progress, of a proof each step by the number nearest to its bound."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from carts import cart
 
+import planner
 from planner.base.measured import Measurement, Section
 from planner.cli.console import Console
 from planner.cli.results import show_proof
+from planner.cli.solving import show_plan
 
 FINE = Section("plan", (Measurement("warnings", 0.0, bound=0.0), Measurement("far", 0.1, "m", 1.0),
                         Measurement("near", 0.8, "rad", 1.0), Measurement("shown", 7.0)))  # fmt: skip
@@ -50,3 +54,11 @@ def test_in_a_log_each_line_of_progress_is_its_own(console, capsys):
     for text in ("first", "second"):
         console.write_passing(text)
     assert capsys.readouterr().err == "first\nsecond\n"
+
+
+@pytest.mark.parametrize(("shortest", "said"), [(1.0, True), (0.9, False)])
+def test_a_search_that_ends_at_the_shortest_duration_says_so(shortest, said, capsys):
+    problem = cart(N=20, duration=1.0)
+    plan = replace(planner.solve(problem), options={"durations": [shortest, 3.0]})
+    show_plan(plan, None, Console())
+    assert ("write a shorter one" in capsys.readouterr().out) is said
