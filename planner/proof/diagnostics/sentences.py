@@ -25,6 +25,7 @@ SENTENCES = {
     "`duration`, or a gait whose feet stand longer (`duty`); with `cycles = 1` one alone is judged.",
     # Shapes
     "ground_removed": '{pair} collide, and contacts = "off" removes the ground',
+    "lands": "{pair} touch, and the plan knows nothing of it; with it the machine stands on the ground as in your file",
     "start_collides": "Another `start` is needed, or a model that excludes the pair: at the start {pair} overlap by "
     "{depth:.2g}.",
     "overlap_deepens": "{pair} of the file overlap or lie flush at the start, and the motion presses them together: if "
