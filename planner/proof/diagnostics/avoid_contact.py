@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from planner.model.mjcf.initial_overlaps import TOUCH_ROUNDING, can_separate
 from planner.model.mjcf.model_index import ModelIndex, named
 from planner.model.mjcf.unmodelled_features import names_of
 from planner.problem.collision_free_path import MORE_SAMPLES, CollisionChecker, has_path_search
-from planner.problem.constraints.clearance import pair_clearance_of
+from planner.problem.constraints.clearance import Avoid, PairClearance, pair_clearance_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -29,6 +30,7 @@ from planner.proof.verdict import Proof
 
 CLEARANCE = 5e-3  # m, smallest clearance of a pair that counts as separable
 LANDED = 0.01  # m, the clearance that `avoid` asks for: what is to end nearer to the ground is to stand on it
+CLOSER = (0.1, 0.4)  # of the clearance: with the least a way is sought where there is none with the whole
 _POSES = 40  # number of poses on the straight path
 
 
@@ -48,8 +50,9 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     shapes.at_start = set(began)
     knots = _knots(plan, mechanism)
     floor = [pair for q in (start, *knots) for pair in shapes.touching(q) if shapes.is_ground(pair)]
-    flying = bool(np.any(thrusters(mechanism))) or flies(mechanism) or bool(np.any(floating_dofs(mechanism)))
-    if floor and of_file(problem) and problem.parameters.get("contacts") == "off" and shapes.unactuated and not flying:
+    thrusting = bool(np.any(thrusters(mechanism))) or flies(mechanism)
+    flying, off = thrusting or bool(np.any(floating_dofs(mechanism))), problem.parameters.get("contacts") == "off"
+    if floor and of_file(problem) and off and shapes.unactuated and not thrusting:
         return [fix(problem, "contacts", "ground", "ground_removed", pair=shapes.names(floor[0]))]
     index = ModelIndex(shapes.model)
     may_avoid = of_file(problem) and "avoid" not in problem.parameters
@@ -79,7 +82,7 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
 
 
 def no_way_around(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """That no path without collisions leads to the pose of the goal, as far as random poses tell."""
+    """That no path to the pose of the goal keeps the clearance, as far as random poses tell; or a smaller."""
     mechanism, cost = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
     apart = pair_clearance_of(problem.constraints)
     if plan.converged or mechanism is None or cost is None or apart is None or not has_path_search(mechanism):
@@ -88,9 +91,27 @@ def no_way_around(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     if mechanism.has_closed_chains or not (of_file(problem) or np.all(weights > 0.0)):  # no whole pose is meant
         return []
     checker = CollisionChecker(apart, mechanism).without_extra
-    if checker.find_path(problem.x0[:nq], cost.x_ref[-1, :nq], samples=MORE_SAMPLES) is not None:
+    goal = cost.x_ref[-1, :nq]
+    if checker.find_path(problem.x0[:nq], goal, samples=MORE_SAMPLES) is not None:
         return []
-    return [no_fix("goal", "no_way_around", samples=MORE_SAMPLES)]
+    return _closer_way(problem, apart, mechanism, goal) or [no_fix("goal", "no_way_around", samples=MORE_SAMPLES)]
+
+
+def _closer_way(
+    problem: Problem, apart: PairClearance, mechanism: Mechanism, goal: np.ndarray
+) -> list[SuggestedFix]:  # fmt: skip
+    """A smaller clearance of a file, with which a way is found."""
+    table, least = problem.parameters.get("avoid"), []
+    if not of_file(problem) or not isinstance(table, dict):
+        return []
+    own = float(table.get("clearance", Avoid.clearance))
+    for share in CLOSER:
+        pairs = [one._replace(required_clearance=min(one.required_clearance, share * own)) for one in apart.pairs]
+        checker = CollisionChecker(replace(apart, pairs=tuple(pairs)), mechanism).without_extra
+        if checker.find_path(problem.x0[: mechanism.nq], goal) is None:
+            break
+        least.append(fix(problem, "avoid.clearance", share * own, "closer_way", clearance=Quantity(own, "m")))
+    return least[-1:]
 
 
 def _may_land(problem: Problem) -> bool:

@@ -37,6 +37,7 @@ SENTENCES = {
     "goal_collides_anyhow": "Another `goal` is needed: in the goal itself {pair} overlap by {depth:.2g}.",
     "no_way_around": "No way without collisions from the start to the pose of the goal was found, with {samples} "
     "random poses for joints within their ranges: another `goal` or `start` is needed, or less in the way.",
+    "closer_way": "no way was found that keeps {clearance} from everything, and with less there is one",
     "path_collides_straight_free": "{pair} collide on the way, and the straight path from start to goal is free; only "
     "effort costs something on the way",
     "path_collides": "{pair} collide on the way, on the straight path too; with it a collision-free path is planned",
