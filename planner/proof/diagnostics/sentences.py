@@ -8,8 +8,8 @@ from __future__ import annotations
 SENTENCES = {
     # The goal and the ground
     "goal_unbalanced": "No plan stays at the goal, which is put on the ground, where it does not balance: {cause}",
-    "jump_not_found": "No plan was found that jumps so high: at {time} {frame} gets to {reached} of {asked}, where "
-    "the legs reach {standing} from the ground. Write a lower goal, stronger actuators, or more `work`.",
+    "jump_not_found": "The solve found no higher jump than this: at {time} {frame} gets to {reached} of {asked}, where "
+    "the legs reach {standing} from the ground. Write {advice}, or a lower goal.",
     "falls": "The machine loses its balance: an error grows as exp({rate:.3g} t), t in s, and with the plan's gains it "
     "becomes {share:.3g} times what passes. Begin with a goal nearer to the start, or write a "
     "`start` and a `goal` with the centre of mass over the middle of the feet.",
