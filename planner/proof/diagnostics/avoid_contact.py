@@ -136,7 +136,8 @@ class _Shapes:
         self._at_rest = bodies_at_rest(problem, model)[model.geom_bodyid]
         self._scale = min(1.0, float(model.stat.extent))
         self.at_start: set[tuple[int, int]] = set()
-        self.unactuated = not self._moment().any(axis=0).all()  # whether a degree of freedom has no actuator
+        self._free = ~self._moment().any(axis=0)  # (nv,) degrees of freedom without an actuator
+        self.unactuated = bool(self._free.any())
 
     def _moment(self) -> np.ndarray:
         mujoco, model, data = self._mujoco, self.model, self._data
@@ -184,7 +185,7 @@ class _Shapes:
         worse = [pair for pair in deeper if goes_deeper(began.get(pair, 0.0), deeper[pair], self._scale)]
         pairs = worse or [pair for pair in deeper if pair not in self.at_start]
         pairs = [pair for pair in pairs if pair in self.at_start or self._gap(start, pair) <= 0.0]
-        pairs = [pair for pair in pairs if not (self.is_ground(pair) and (flying or self.unactuated))]
+        pairs = [pair for pair in pairs if not (self.is_ground(pair) and (flying or self._stands(pair)))]
         if not pairs:
             return []
         names = {tuple(self.model.body(int(self.model.geom_bodyid[geom])).name for geom in pair) for pair in pairs}
@@ -192,6 +193,12 @@ class _Shapes:
             return [no_fix("exclude", "overlap_deepens_unnamed", pair=self.names(pairs[0]))]
         values = {"pair": self.names(pairs[0]), "bodies": json.dumps(sorted(names), ensure_ascii=False)}
         return [no_fix("exclude", "overlap_deepens", **values)]
+
+    def _stands(self, pair: tuple[int, int]) -> bool:
+        """Whether something moves in a tree of the two that no actuator moves."""
+        model, free = self.model, self._free
+        trees = model.body_rootid[model.geom_bodyid[list(pair)]]
+        return bool(np.any(free & np.isin(model.body_rootid[model.dof_bodyid], trees)))
 
     def is_ground(self, pair: tuple[int, int]) -> bool:
         """Whether one of the two geoms is fixed."""
