@@ -156,15 +156,22 @@ def control_at_bound(problem: Problem, xs: np.ndarray, us: np.ndarray) -> Diagno
     """The control that is most often at a bound along xs (N+1, nx), us (N, nu), and in how many stages."""
     if problem.bounds is None:
         return None
-    lower, upper = problem.bounds.at(slice(None), xs[: len(us)])
-    with np.errstate(invalid="ignore"):
-        near = _AT_BOUND_SHARE * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-    stages = ((us <= lower + near) | (us >= upper - near)).sum(axis=0)
+    stages = controls_at_bounds(problem, xs, us).sum(axis=0)
     worst = int(np.argmax(stages))
     if stages[worst] < max(1, _MIN_SHARE_AT_BOUND * len(us)):
         return None
     values = {"control": control_name(problem, worst), "stages": int(stages[worst]), "all": len(us)}
     return Diagnostic("control_at_bound", values)
+
+
+def controls_at_bounds(problem: Problem, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
+    """(N, nu) bool, whether each control is at a bound in each stage of xs (N+1, nx), us (N, nu)."""
+    if problem.bounds is None:
+        return np.zeros(us.shape, dtype=bool)
+    lower, upper = problem.bounds.at(slice(None), xs[: len(us)])
+    with np.errstate(invalid="ignore"):
+        near = _AT_BOUND_SHARE * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+    return (us <= lower + near) | (us >= upper - near)
 
 
 def state_at_bound(problem: Problem, xs: np.ndarray) -> Diagnostic | None:

@@ -273,5 +273,13 @@ def test_a_jump_that_no_solve_finds_says_how_high_the_plan_gets(tmp_path):
     assert at["reached"] == pytest.approx(0.6 + plan.xs[60, 1])  # m, of the trunk above its slide z at 0.6 s
     assert at["standing"] == pytest.approx(0.64, abs=0.01)
     assert "gets to" in found.sentence
+    assert found.values["advice"] == "`starts = 8` or a start that crouches"
+    cut = replace(plan, status=planner.Status.WORK_LIMIT)
+    cut.options["work"] = 1.0
+    jump = next(one for one in suggested_fixes(cut) if one.code == "jump_not_found")
+    assert jump.values["advice"].endswith("or more `work`")
+    upper = plan.problem.bounds.at(slice(None), plan.xs[:-1])[1]
+    (weak,) = suggested_fixes(replace(plan, us=upper))
+    assert weak.values["advice"].endswith("or stronger actuators")
     plan = planner.solve(problem_of(tmp_path, HIGHER.format(height=0.6, time=0.6, duration=1.4)), options)
     assert "jump_not_found" not in [one.code for one in suggested_fixes(plan)]

@@ -111,3 +111,29 @@ def test_more_clearance_is_not_tried_where_the_required_one_finds_nothing(tmp_pa
     checker = CollisionChecker(wider, problem.dynamics.mechanism)
     assert checker.find_path(np.zeros(2), np.ones(2), samples=7) is None
     assert searched == [apart.lower.max()]
+
+
+# A ball of 0.1 m between two boxes that are 0.11 m apart: 0.005 m on both sides.
+GAP = """<mujoco><option gravity="0 0 0"/><worldbody><geom name="up" type="box" size="0.05 1 0.2" pos="0 1.055 0"/>
+  <geom name="down" type="box" size="0.05 1 0.2" pos="0 -1.055 0"/><body><joint name="x" type="slide" range="-1 1"
+  axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0" range="-1 1"/><geom name="ball" size="0.05" mass="1"/></body>
+  </worldbody><actuator><motor joint="x"/><motor joint="y"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("clearance", "found"), [("", 0.004), (", clearance = 0.03", 0.003), (", clearance = 0.1", None)]
+)
+def test_a_gap_that_only_the_clearance_closes_is_said(tmp_path, monkeypatch, clearance, found):
+    own = CollisionChecker._search
+    monkeypatch.setattr(CollisionChecker, "_search", lambda self, *ends: own(self, *ends[:3], min(20, ends[3])))
+    (tmp_path / "gap.xml").write_text(GAP, encoding="utf-8")
+    lines = ('model = "gap.xml"', "start = { x = -0.6 }", "goal = { x = 0.6, y = 0 }", "duration = 2.0", "dt = 0.05")
+    (tmp_path / "problem.toml").write_text("\n".join([*lines, f"avoid = {{ self = false{clearance} }}"]))
+    problem = planner.load_problem(tmp_path / "problem.toml")
+    plan = planner.solve(problem, options=planner.SolverOptions(homotopy=False))
+    first = suggested_fixes(plan)[0]
+    assert (first.value, first.code) == (found, "no_way_around" if found is None else "closer_way")
+    if found is not None:
+        table = first.applied(problem.parameters)
+        assert table["avoid"] == problem.parameters["avoid"] | {"clearance": found}
+        assert table["avoid"]["self"] is False

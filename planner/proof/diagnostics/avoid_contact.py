@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,14 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.base.measured import Quantity
-from planner.model.capabilities import capabilities_of
+from planner.model.capabilities import capabilities_of, flies, floating_dofs, thrusters
 from planner.model.mechanism import Mechanism
+from planner.model.mjcf.contact_mode import file_pairs
 from planner.model.mjcf.initial_overlaps import TOUCH_ROUNDING, can_separate
 from planner.model.mjcf.model_index import ModelIndex, named
 from planner.model.mjcf.unmodelled_features import names_of
 from planner.problem.collision_free_path import MORE_SAMPLES, CollisionChecker, has_path_search
-from planner.problem.constraints.clearance import pair_clearance_of
+from planner.problem.constraints.clearance import Avoid, PairClearance, pair_clearance_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -27,6 +29,8 @@ from planner.proof.replays.compiled_twin import unmodelled_of
 from planner.proof.verdict import Proof
 
 CLEARANCE = 5e-3  # m, smallest clearance of a pair that counts as separable
+LANDED = 0.01  # m, the clearance that `avoid` asks for: what is to end nearer to the ground is to stand on it
+CLOSER = (0.1, 0.4)  # of the clearance: with the least a way is sought where there is none with the whole
 _POSES = 40  # number of poses on the straight path
 
 
@@ -46,20 +50,28 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     shapes.at_start = set(began)
     knots = _knots(plan, mechanism)
     floor = [pair for q in (start, *knots) for pair in shapes.touching(q) if shapes.is_ground(pair)]
-    if floor and of_file(problem) and problem.parameters.get("contacts") == "off" and shapes.unactuated:
+    thrusting = bool(np.any(thrusters(mechanism))) or flies(mechanism)
+    flying, off = thrusting or bool(np.any(floating_dofs(mechanism))), problem.parameters.get("contacts") == "off"
+    if floor and of_file(problem) and off and shapes.unactuated and not thrusting:
         return [fix(problem, "contacts", "ground", "ground_removed", pair=shapes.names(floor[0]))]
     index = ModelIndex(shapes.model)
     may_avoid = of_file(problem) and "avoid" not in problem.parameters
     if inside := {pair: depth for pair, depth in began.items() if can_separate(index, pair, start, CLEARANCE)}:
         return [no_fix("start", "start_collides", **shapes.deepest(inside))]
+    if flying and (landing := shapes.landing(index, start, (goal, *knots[-1:]), knots)) and _may_land(problem):
+        return [fix(problem, "contacts", "file", "lands", pair=shapes.names(landing))]
     if at_goal := shapes.depths(goal):
         worst = shapes.deepest(at_goal)
         if may_avoid and problem.goal_specs is not None:
             return [fix(problem, "avoid", {}, "goal_collides", **worst)]
         return [no_fix("goal", "goal_collides_anyhow", **worst)]
     first = next((pair for q in knots for pair in shapes.depths(q)), None)
-    if first is None:  # pairs that lie flush or overlap at the start, and are pressed
-        return shapes.to_exclude(start, knots)
+    if first is None:  # pairs that lie flush or overlap at the start, and are pressed, else those that hardly touch
+        if (flush := shapes.to_exclude(start, knots, flying)) or not may_avoid:
+            return flush
+        first = next((pair for q in knots for pair in shapes.touching(q, 0.0) if pair not in shapes.at_start), None)
+        if first is None:
+            return []
     pair = shapes.names(first)
     straight_is_free = not any(shapes.depths(q) for q in shapes.straight(start, goal))
     if straight_is_free and (found := straightened(problem, "path_collides_straight_free", pair=pair)):
@@ -70,7 +82,7 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
 
 
 def no_way_around(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """That no path without collisions leads to the pose of the goal, as far as random poses tell."""
+    """That no path to the pose of the goal keeps the clearance, as far as random poses tell; or a smaller."""
     mechanism, cost = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
     apart = pair_clearance_of(problem.constraints)
     if plan.converged or mechanism is None or cost is None or apart is None or not has_path_search(mechanism):
@@ -79,9 +91,32 @@ def no_way_around(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     if mechanism.has_closed_chains or not (of_file(problem) or np.all(weights > 0.0)):  # no whole pose is meant
         return []
     checker = CollisionChecker(apart, mechanism).without_extra
-    if checker.find_path(problem.x0[:nq], cost.x_ref[-1, :nq], samples=MORE_SAMPLES) is not None:
+    goal = cost.x_ref[-1, :nq]
+    if checker.find_path(problem.x0[:nq], goal, samples=MORE_SAMPLES) is not None:
         return []
-    return [no_fix("goal", "no_way_around", samples=MORE_SAMPLES)]
+    return _closer_way(problem, apart, mechanism, goal) or [no_fix("goal", "no_way_around", samples=MORE_SAMPLES)]
+
+
+def _closer_way(
+    problem: Problem, apart: PairClearance, mechanism: Mechanism, goal: np.ndarray
+) -> list[SuggestedFix]:  # fmt: skip
+    """A smaller clearance of a file, with which a way is found."""
+    table, least = problem.parameters.get("avoid"), []
+    if not of_file(problem) or not isinstance(table, dict):
+        return []
+    own = float(table.get("clearance", Avoid.clearance))
+    for share in CLOSER:
+        pairs = [one._replace(required_clearance=min(one.required_clearance, share * own)) for one in apart.pairs]
+        checker = CollisionChecker(replace(apart, pairs=tuple(pairs)), mechanism).without_extra
+        if checker.find_path(problem.x0[: mechanism.nq], goal) is None:
+            break
+        least.append(fix(problem, "avoid.clearance", share * own, "closer_way", clearance=Quantity(own, "m")))
+    return least[-1:]
+
+
+def _may_land(problem: Problem) -> bool:
+    """Whether the file leaves out contacts that it may have the plan know."""
+    return of_file(problem) and problem.parameters.get("contacts") in ("auto", "avoid", "off")
 
 
 def _knots(plan: Plan, mechanism: Mechanism) -> list[np.ndarray]:
@@ -101,7 +136,8 @@ class _Shapes:
         self._at_rest = bodies_at_rest(problem, model)[model.geom_bodyid]
         self._scale = min(1.0, float(model.stat.extent))
         self.at_start: set[tuple[int, int]] = set()
-        self.unactuated = not self._moment().any(axis=0).all()  # whether a degree of freedom has no actuator
+        self._free = ~self._moment().any(axis=0)  # (nv,) degrees of freedom without an actuator
+        self.unactuated = bool(self._free.any())
 
     def _moment(self) -> np.ndarray:
         mujoco, model, data = self._mujoco, self.model, self._data
@@ -120,14 +156,36 @@ class _Shapes:
         pair = max(depths, key=lambda pair: depths[pair])
         return {"pair": self.names(pair), "depth": Quantity(depths[pair], "m")}
 
-    def to_exclude(self, start: np.ndarray, poses: list[np.ndarray]) -> list[SuggestedFix]:
-        """The pairs that go deeper than at the start, else those that lie flush, to be excluded."""
+    def landing(
+        self, index: ModelIndex, start: np.ndarray, ends: tuple[np.ndarray, ...], poses: list[np.ndarray]
+    ) -> tuple[int, int] | None:
+        """A pair with the ground in contact at some poses, that stands on it at the start or is to at the end."""
+        may_stand = {tuple(sorted(pair.geoms)) for pair in file_pairs(index)}
+        for pair in (pair for q in (*poses, *ends) for pair in self.touching(q, 0.0)):
+            if pair in may_stand and (self._gap(start, pair) <= 0.0 or min(self._gap(q, pair) for q in ends) < LANDED):
+                return pair
+        return None
+
+    def _gap(self, q: np.ndarray, pair: tuple[int, int]) -> float:
+        """Distance of two geoms at a pose, m, LANDED at most; 0 of those that lie flush to rounding."""
+        self._data.qpos[:] = q
+        self._mujoco.mj_fwdPosition(self.model, self._data)
+        gap = self._mujoco.mj_geomDistance(self.model, self._data, *pair, LANDED, None)
+        return 0.0 if abs(gap) <= TOUCH_ROUNDING * self._scale else float(gap)
+
+    def to_exclude(self, start: np.ndarray, poses: list[np.ndarray], flying: bool) -> list[SuggestedFix]:
+        """The pairs that go deeper than at the start, else those that lie flush, to be excluded.
+
+        Not those that are apart at the start, nor the ground of a machine that may stand on it.
+        """
         began, deeper = self.touching(start, 0.0), dict[tuple[int, int], float]()
         for q in poses:
             for pair, depth in self.touching(q, 0.0).items():
                 deeper[pair] = max(deeper.get(pair, -np.inf), depth - began.get(pair, 0.0))
         worse = [pair for pair in deeper if goes_deeper(began.get(pair, 0.0), deeper[pair], self._scale)]
         pairs = worse or [pair for pair in deeper if pair not in self.at_start]
+        pairs = [pair for pair in pairs if pair in self.at_start or self._gap(start, pair) <= 0.0]
+        pairs = [pair for pair in pairs if not (self.is_ground(pair) and (flying or self._stands(pair)))]
         if not pairs:
             return []
         names = {tuple(self.model.body(int(self.model.geom_bodyid[geom])).name for geom in pair) for pair in pairs}
@@ -135,6 +193,12 @@ class _Shapes:
             return [no_fix("exclude", "overlap_deepens_unnamed", pair=self.names(pairs[0]))]
         values = {"pair": self.names(pairs[0]), "bodies": json.dumps(sorted(names), ensure_ascii=False)}
         return [no_fix("exclude", "overlap_deepens", **values)]
+
+    def _stands(self, pair: tuple[int, int]) -> bool:
+        """Whether something moves in a tree of the two that no actuator moves."""
+        model, free = self.model, self._free
+        trees = model.body_rootid[model.geom_bodyid[list(pair)]]
+        return bool(np.any(free & np.isin(model.body_rootid[model.dof_bodyid], trees)))
 
     def is_ground(self, pair: tuple[int, int]) -> bool:
         """Whether one of the two geoms is fixed."""

@@ -8,20 +8,23 @@ from planner.base.errors import PlannerError
 from planner.base.measured import Quantity
 from planner.dynamics.inverse_kinematics import Target
 from planner.dynamics.kinematics import center_of_mass, frame_pose
-from planner.dynamics.statics import STRIDE, static_equilibrium, stays_in_air
+from planner.dynamics.statics import STRIDE, clearance, static_equilibrium, stays_in_air
 from planner.model.capabilities import capabilities_of, rolling_radii, stands_on_ground
 from planner.model.mjcf.contact_mode import STANDING
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import between
-from planner.problem.plan import Plan
+from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.progress import controls_at_bounds
 from planner.problem.tasks.flight import missing_height
 from planner.problem.tasks.goal import goal_of
 from planner.problem.tasks.legs import standing_feet
 from planner.problem.tasks.timed_task import DEFAULT_TOLERANCES
+from planner.proof.diagnostics.solving import STARTS
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file
 from planner.proof.verdict import Proof
 
+WEAK_SHARE = 0.5  # of the stages on the ground before a jump: an actuator at its bound in more of them is too weak
 MAX_ERROR_GROWTH = 5.0  # exponent over a plan: an error grows by exp(5), 150 times
 
 
@@ -88,8 +91,25 @@ def jump_not_found(plan: Plan, problem: Problem, proof: Proof | None) -> list[Su
         if missing > STRIDE:
             heights = {"asked": asked, "reached": reached, "standing": asked - missing}
             values = {name: Quantity(value, "m") for name, value in heights.items()}
-            return [no_fix("goal", "jump_not_found", frame=goal.frame, time=Quantity(time, "s"), **values)]
+            values["time"] = Quantity(time, "s")
+            return [no_fix("goal", "jump_not_found", frame=goal.frame, advice=_of_jump(plan, problem, time), **values)]
     return []
+
+
+def _of_jump(plan: Plan, problem: Problem, time: float) -> str:
+    """What may find a higher jump: more work only for a solve that was cut, more force only where it lacks."""
+    several = problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1
+    advice = [] if several else [f"`starts = {STARTS}`"]
+    advice += ["a start that crouches"]
+    if plan.status is Status.WORK_LIMIT:
+        advice += ["more `work`"]
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    assert mechanism is not None  # checked by jump_not_found
+    pushes = [n for n in range(plan.N) if plan.t[n] < time and clearance(mechanism, plan.xs[n]) <= 0.0]
+    if problem.bounds is not None and pushes:
+        share = np.max(controls_at_bounds(problem, plan.xs, plan.us)[pushes].mean(axis=0), initial=0.0)
+        advice += ["stronger actuators"] if share > WEAK_SHARE else []
+    return " or ".join(advice)
 
 
 def loses_balance(proof: Proof) -> bool:

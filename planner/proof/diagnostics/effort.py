@@ -57,17 +57,22 @@ def passing_duration(plan: Plan, problem: Problem, proof: Proof | None) -> list[
     if plan.status is not Status.INFEASIBLE or "duration" not in found:
         return []
     values = {"duration": Quantity(problem.duration, "s"), "factor": found["factor"]}
-    return [fix(problem, "duration", found["duration"], "infeasible", **values)]
+    return [_in_time(plan, problem, found["duration"], "infeasible", **values)]
 
 
 def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """The duration of a feasible minimum-jerk trajectory, for a plan that has not met its goal or its limits."""
-    if problem.limits is None or seeks_duration(plan) or not _short_of_force(plan, problem, proof):
+    """The duration of a feasible minimum-jerk trajectory, for a plan that has not met its goal or its limits.
+
+    Of a search over durations that found none, the longest of them is too short.
+    """
+    if problem.limits is None or not _short_of_force(plan, problem, proof):
+        return []
+    if seeks_duration(plan) and (plan.converged or plan.status in (Status.WORK_LIMIT, Status.TIME_LIMIT)):
         return []
     machine = machine_of(problem)
     if machine is None:
         return _of_bounds(plan, problem, proof)
-    duration = problem.duration
+    duration = _longest(plan, problem)
     now, longest = (_need(problem, machine, T) for T in (duration, MAX_LENGTHENING * duration))
     if now.load <= USABLE_SHARE:  # the duration suffices
         return []
@@ -83,7 +88,20 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
         fits = _need(problem, machine, middle * duration).load <= USABLE_SHARE
         low, high = (low, middle) if fits else (middle, high)
     values = {**now.values, "duration": Quantity(duration, "s")}
-    return [fix(problem, "duration", rounded_duration(problem, high), f"too_little_{now.what}", **values)]
+    value = rounded_duration(problem, high * duration / problem.duration)
+    return [_in_time(plan, problem, value, f"too_little_{now.what}", **values)]
+
+
+def _longest(plan: Plan, problem: Problem) -> float:
+    """The duration, s; the longest of those that were searched."""
+    return float(plan.options["durations"][1]) if seeks_duration(plan) else problem.duration
+
+
+def _in_time(plan: Plan, problem: Problem, duration: float, code: str, /, **values: Any) -> SuggestedFix:
+    """A longer duration; for a search, as the longest to try."""
+    if seeks_duration(plan):
+        return fix(problem, "durations", [float(plan.options["durations"][0]), duration], code, **values)
+    return fix(problem, "duration", duration, code, **values)
 
 
 def _short_of_force(plan: Plan, problem: Problem, proof: Proof | None) -> bool:
@@ -119,7 +137,8 @@ def _of_bounds(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sugges
     at_bounds = (control_at_bound(problem, plan.xs, plan.us), state_at_bound(problem, plan.xs)) if misses else ()
     found = [one for one in (state_outside(problem, plan.xs, plan.t), *at_bounds) if one is not None]
     values = {"duration": Quantity(problem.duration, "s"), "bounds": ", and ".join(map(sentence_of, found))}
-    return [fix(problem, "duration", rounded_duration(problem, LENGTHENING), "at_bounds", **values)] if found else []
+    value = rounded_duration(problem, LENGTHENING * _longest(plan, problem) / problem.duration)
+    return [_in_time(plan, problem, value, "at_bounds", **values)] if found else []
 
 
 def _too_weak_to_stand(problem: Problem) -> list[SuggestedFix]:

@@ -39,7 +39,7 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Su
     """Final weights that bring the end error within half of its tolerance.
 
     A final weight W leaves an error e of a displacement d, like a spring of stiffness W against one of stiffness
-    c = e W / (d - e); so the error e' needs the weight c (d - e') / e'.
+    c = e W / (d - e); so the error e' needs the weight c (d - e') / e'. What is to be exact is met with any weight.
     """
     if problem.requirements is not None and problem.requirements.goal is not None:
         return []
@@ -55,12 +55,14 @@ def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[Su
         return []
     times: dict[str, _Raises] = {key: {} for key in _WEIGHTS}
     coordinates = [(one.name, one.unit) for one in coordinates_of(problem.dynamics)]
+    ranges = problem.ranges
+    exact = [] if ranges is None else ranges.component[len(ranges.component) - ranges.at_end :].tolist()
     for goal in goals_of(problem, plan.xs):
         if goal.alone or (goal.name, goal.unit) not in coordinates or not np.isfinite(goal.tolerance):
             continue
         ends = (plan.xs[-1:], proof.replay.xs[-1:]) if followed else (plan.xs[-1:],)
         miss = max(float(goal.error(x)[0]) for x in ends)
-        if miss > goal.tolerance:
+        if miss > goal.tolerance and coordinates.index((goal.name, goal.unit)) not in exact:
             key = _WEIGHTS[goal.unit.endswith("/s")]
             times[key][coordinates.index((goal.name, goal.unit))] = _raised(problem, goal, miss)
     own = [_of_weight(problem, cost, key, found) for key, found in times.items() if found]

@@ -8,8 +8,8 @@ from __future__ import annotations
 SENTENCES = {
     # The goal and the ground
     "goal_unbalanced": "No plan stays at the goal, which is put on the ground, where it does not balance: {cause}",
-    "jump_not_found": "No plan was found that jumps so high: at {time} {frame} gets to {reached} of {asked}, where "
-    "the legs reach {standing} from the ground. Write a lower goal, stronger actuators, or more `work`.",
+    "jump_not_found": "The solve found no higher jump than this: at {time} {frame} gets to {reached} of {asked}, where "
+    "the legs reach {standing} from the ground. Write {advice}, or a lower goal.",
     "falls": "The machine loses its balance: an error grows as exp({rate:.3g} t), t in s, and with the plan's gains it "
     "becomes {share:.3g} times what passes. Begin with a goal nearer to the start, or write a "
     "`start` and a `goal` with the centre of mass over the middle of the feet.",
@@ -25,6 +25,7 @@ SENTENCES = {
     "`duration`, or a gait whose feet stand longer (`duty`); with `cycles = 1` one alone is judged.",
     # Shapes
     "ground_removed": '{pair} collide, and contacts = "off" removes the ground',
+    "lands": "{pair} touch, and the plan knows nothing of it; with it the machine stands on the ground as in your file",
     "start_collides": "Another `start` is needed, or a model that excludes the pair: at the start {pair} overlap by "
     "{depth:.2g}.",
     "overlap_deepens": "{pair} of the file overlap or lie flush at the start, and the motion presses them together: if "
@@ -36,6 +37,7 @@ SENTENCES = {
     "goal_collides_anyhow": "Another `goal` is needed: in the goal itself {pair} overlap by {depth:.2g}.",
     "no_way_around": "No way without collisions from the start to the pose of the goal was found, with {samples} "
     "random poses for joints within their ranges: another `goal` or `start` is needed, or less in the way.",
+    "closer_way": "no way was found that keeps {clearance} from everything, and with less there is one",
     "path_collides_straight_free": "{pair} collide on the way, and the straight path from start to goal is free; only "
     "effort costs something on the way",
     "path_collides": "{pair} collide on the way, on the straight path too; with it a collision-free path is planned",

@@ -102,6 +102,9 @@ def _written(problem: Problem, key: str, value: Any) -> str:
     flag = f"--{name.replace('_', '-')} {value}"
     if key in FLAGS and not (of_file(problem) and key != ITERATIONS):
         return f"solve(..., {key}={value})" if problem.case is None else flag
+    if key == "durations" and not of_file(problem):
+        of_case = f"--durations {','.join(f'{one:g}' for one in value)}"
+        return f"solve_for(..., durations={value})" if problem.case is None else of_case
     if of_file(problem):
         return f"{key} = {toml_value(value)}"
     if problem.case is not None and key == "dt" and "horizon" in problem.parameters:

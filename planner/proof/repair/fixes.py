@@ -18,7 +18,7 @@ from planner.solvers.work import WorkBudget
 
 AUTOMATIC_KEYS = ("dt", "substeps", "integrator", "guess", "starts", "limits.margin", ITERATIONS)
 """Keys about the computation, in addition to the weights. Keys that change the task itself are the user's to set."""
-NOT_TRIED = ("contacts", "gait", "ignore", "model", "start", "work")  # read the file again, or want another budget
+NOT_TRIED = ("contacts", "durations", "gait", "ignore", "model", "start", "work")  # read or search anew, want more work
 SHARE = 0.5  # of the work that is left, at most, for the trial of a fix
 MIN_ITERATIONS = 20  # of a trial: fewer solve nothing that failed
 MAX_DURATIONS = 6  # maximum number tried, each 1.5 times the last: up to 7.6 times
