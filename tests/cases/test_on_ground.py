@@ -89,6 +89,28 @@ def test_feet_that_stay_stand_on_ground_that_is_hardly_smoothed(tmp_path):
         assert problem.dynamics.mechanism.contacts[0].law.ramp == pytest.approx(usual, rel=1e-12)
 
 
+HOPPER = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/><body name="trunk" pos="0 0 1">
+  <joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+  <joint name="tilt" axis="0 1 0"/><inertial pos="0 0 0" mass="5" diaginertia=".1 .1 .1"/>
+  <body name="leg"><joint name="hip" axis="0 1 0"/>
+    <inertial pos="0 0 -.3" mass=".5" diaginertia=".01 .01 .01"/>
+    <body name="foot" pos="0 0 -.6"><joint name="ankle" axis="0 1 0"/>
+      <geom size=".03" pos=".15 0 0"/><geom size=".03" pos="-.15 0 0"/></body></body></body></worldbody>
+  <actuator><motor joint="hip"/><motor joint="ankle"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("x", "kept"), [("", False), ("x = 0.0, ", True), ("x = 0.001, ", True)])
+def test_a_coordinate_that_the_goal_names_is_kept_where_it_is_at_its_start_value(tmp_path, x, kept):
+    """Feet that do not slide would carry the trunk forwards by some centimetres."""
+    (tmp_path / "sled.xml").write_text(HOPPER)
+    goal = f"{{ {x}hip = 0.1, ankle = -0.1 }}"
+    (tmp_path / "p.toml").write_text(TABLE.format(start="{}", goal=goal, more='contacts = "file"'))
+    file = load(tmp_path / "p.toml")
+    end = tracking_of(file.problem.cost).x_ref[-1]
+    asked = 0.001 if "001" in x else 0.0
+    assert end[0] == pytest.approx(asked, abs=1e-12) if kept else abs(end[0]) > 0.04
+
+
 def test_a_goal_that_settles_to_the_start_is_the_start(tmp_path):
     """Asked to stand 1 cm lower than it can: then to stay is the task, and not a motion of 1e-10 m."""
     file = loaded(tmp_path, "{ root = [0, 0, -0.95, 1, 0, 0, 0] }", "{ root = [0, 0, -0.96, 1, 0, 0, 0] }")

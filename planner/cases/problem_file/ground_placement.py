@@ -57,6 +57,7 @@ def place_on_ground(
     if not _puts_down(mechanism, table):
         return start, goal, {}
     asked = np.abs(mechanism.space.difference(goal, start)[: mechanism.nv]) > SAME_POSE_TOLERANCE
+    asked |= _named_in(table.get("goal"), mechanism)
     start, note = _lower_to_ground("start", start, mechanism)
     goal, other = _lower_to_ground("goal", goal, mechanism)
     there = goal_without_foot_slip(mechanism, start, goal, asked)
@@ -115,6 +116,14 @@ def _goal_on_ground(mechanism: Mechanism, goal: Goal) -> Goal:
     x[mechanism.nq :] = 0.0
     there, _ = _lower_to_ground("goal", x, mechanism)
     return replace(goal, joints=there[: mechanism.nq])
+
+
+def _named_in(goal: Any, mechanism: Mechanism) -> np.ndarray:
+    """(nv,) bool, what a table of joints names, equal to the start or not; none of a keyframe or of numbers."""
+    found = np.zeros(mechanism.nv, dtype=bool)
+    for name in goal if isinstance(goal, Mapping) else ():
+        found[mechanism.joint(name)] = True
+    return found
 
 
 def _settled(name: str, x: np.ndarray, mechanism: Mechanism) -> np.ndarray:
