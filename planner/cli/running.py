@@ -283,7 +283,7 @@ def _run(
     console.write_result(f"\n{folder.path}: {', '.join(files)}")
     if film_status and not arguments.no_video:
         console.write_result(f"no video: {film_status}")
-    return 0 if plan.success and proof is not None and proof.passed else 1, {
+    return 0 if proof is not None and proof.passed else 1, {
         "plan": solving.plan_facts(plan), "solve_seconds": seconds, "proof": None if proof is None else proof.to_dict(),
         "refinement": [results.refinement_row(line) for line in path], "resumed": resumed, "files": files,
         "video_note": film_status, "cures": [one.to_dict() for one in fixes],

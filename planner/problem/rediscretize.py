@@ -37,7 +37,7 @@ from planner.problem.problem import Problem
 from planner.problem.problem_parts import MAX_STAGES
 
 FINEST = "rk4"  # of explicit integrators
-UNRESOLVED = 0.05  # of a range of motion: the loosest bound of a path in a proof, so no replay of such a plan passes
+UNRESOLVED = 0.05  # of a range of motion: as the loosest bound of a path in a proof, whose replay measures
 COARSE = 1.0  # the same for methods of first order, which a proof judges: an error as large as the motion itself
 MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine at rest
 OF_LARGEST = 0.1  # smallest range of motion, as a share of the largest of its unit

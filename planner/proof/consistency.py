@@ -31,6 +31,7 @@ from planner.solvers import lq
 from planner.solvers.gains import has_uncertain_ground, robust_gains
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
 
+STEP_ERROR = "step_error"  # %, of the section "optimality"
 BOUND = 1e-9  # relative; a plan and its file agree to rounding
 _MANY = 0.3  # of the controls, at bounds
 GAIN_BOUND = 1e-6  # relative; rounding error of a Riccati sweep over unstable stages
@@ -165,7 +166,7 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed, repeated: bool = F
     ended = 0.0 if done else 1.0
     measured = [Measurement("not_converged", ended, "", 0.0, plan.message)]
     note = "of a coordinate's range of motion, by halving each stage, carried along the closed loop"
-    measured.append(Measurement("step_error", 100.0 * step_error(plan), "%", None, note))
+    measured.append(Measurement(STEP_ERROR, 100.0 * step_error(plan), "%", None, note))
     if now.sweep is not None:
         scale = max(abs(plan.cost), judged_cost(problem).scale(plan, problem), _unseen(plan, problem))
         left = max(0.0, -now.sweep.value)

@@ -14,17 +14,21 @@ direction lowers the cost. Then what the plan may be used for:
     robustness: pending                             not known yet
 
 "planned without ..." lists elements of the user's file that the plan's model lacks; step 6 replayed the plan with them.
+"though half as long stages ..." of a solve that ended UNRESOLVED: MuJoCo's finer steps repeat its plan all the same.
 "without ..." lists elements of no replay: pairs that overlap at the start, or all if the file was not replayed.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
 from planner.base.gl import load_mujoco
 from planner.base.late_imports import Renderable
 from planner.base.measured import Measurement, Section, aligned, dicts_of, rows_of
+from planner.problem.progress import Status
+from planner.proof.consistency import STEP_ERROR
 from planner.proof.error_propagation import ErrorPropagation
 from planner.proof.goal_regulator import RegulatedRun
 from planner.proof.replays.replaying import Replay
@@ -35,6 +39,7 @@ from planner.proof.step_convergence import StepConvergence
 
 TESTED = "tested in your file"
 OPEN_LOOP_ONLY, AT_GOALS = "open loop only", "robust at its goals"
+MOST = 1000.0  # %, of a predicted error of the steps; what is above it has no meaning as a number
 PATH_WITH_GAINS = "path_with_gains_over_its_bound"  # of the section of the user's file
 
 
@@ -140,9 +145,20 @@ class Proof(Renderable):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the verdict does not cover, a phrase each: elements not planned with or not tested, goals not judged."""
+        """What the verdict does not cover, a phrase each: elements not planned with or not tested, goals not judged.
+
+        And of a plan that passes although it is UNRESOLVED, by how much halving its stages is predicted to move it.
+        """
         tested = f"planned without {' and '.join(self.planned_without)} ({TESTED})" if self.planned_without else ""
-        return tuple(filter(None, (tested, *self.not_checked)))
+        return tuple(filter(None, (tested, self._step_error, *self.not_checked)))
+
+    @property
+    def _step_error(self) -> str:
+        if not self.passed or self.replay.plan.status is not Status.UNRESOLVED:
+            return ""
+        error = next((one.value for one in self.sections["optimality"].measured if one.name == STEP_ERROR), math.nan)
+        share = f"{error:.2g} %" if error < MOST else f"more than {MOST:g} %"
+        return f"though half as long stages are predicted to move the motion by {share} of its range"
 
     @property
     def headline(self) -> str:

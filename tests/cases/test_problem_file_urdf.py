@@ -112,3 +112,25 @@ def test_a_refusal_names_joints_that_the_model_is_read_without(folder):
     (folder / "arm.urdf").write_text(robot(*parts, *arm))
     with pytest.raises(PlannerError, match=r"joint in start is 'elbow'.*without the motion of joint 'elbow' \(no mass"):
         load(write(folder))
+
+
+MJCF_ARM = """<mujoco><worldbody><body name="l1"><joint name="elbow"/><geom size=".1"/></body></worldbody>
+  <actuator><motor joint="elbow"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "advice"),
+    [
+        (
+            "arm.xml",
+            MJCF_ARM,
+            'expected one on the ground: a <geom type="plane" size="0 0 1"/> in worldbody, or no gait',
+        ),
+        ("arm.urdf", ARM, "expected one on the ground: `floor = true`, or no gait"),
+    ],
+)
+def test_who_has_no_floor_is_told_how_the_format_adds_one(tmp_path, name, text, advice):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(PlannerError, match="the model has no plane") as refused:
+        load(write(tmp_path, 'gait = "trot"\n', name))
+    assert advice in str(refused.value)

@@ -40,6 +40,16 @@ def test_a_plan_that_fails_by_its_step_is_refined_until_it_passes(tmp_path, caps
     assert "planner run two-link --duration 0.6 --horizon 30 --integrator semi-implicit-euler" in report
 
 
+def test_a_plan_that_passes_although_its_steps_are_coarse_exits_with_0(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("planner.solvers.slq.is_unresolved", lambda plan: True)
+    assert main([*ARM, "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]) == 0
+    said = document(capsys)
+    assert said["plan"]["status"] == "UNRESOLVED"
+    assert said["proof"]["headline"].startswith("PASS (open-loop), though half as long stages are predicted to move")
+    report = ["report", str(tmp_path / "o" / "plan.npz"), "--rollouts", "0", "--no-video", "--json"]
+    assert main([*report, "--out", str(tmp_path / "r")]) == 0
+
+
 def test_not_refined_when_told_so(tmp_path, capsys):
     assert main([*EULER, "--no-refine", "--rollouts", "0", "--json", "--out", str(tmp_path / "o")]) == 1
     said = document(capsys)

@@ -24,8 +24,11 @@ def test_what_mujoco_repeats_at_finer_steps_is_resolved():
     sound = replace(planner.solve(cases.two_link()), status=Status.UNRESOLVED)
     proof = planner.prove(sound, rollouts=0)
     assert proof.passed, proof
+    assert ", though half as long stages are predicted to move the motion by 0.00" in proof.headline
+    assert "half as long" not in planner.prove(replace(sound, status=Status.CONVERGED), rollouts=0).headline
     coarse = planner.prove(wrong_optimality.unresolved(np.random.default_rng(6)), rollouts=0)
     assert not coarse.passed
+    assert "half as long" not in coarse.headline  # that it FAILs says it
     assert not {one.title: one for one in coarse.sections.values()}["optimal"].passed
 
 

@@ -33,6 +33,7 @@ from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics.kinematics import center_of_mass
 from planner.model.mechanism import Mechanism
+from planner.model.urdf.write import is_urdf
 from planner.problem.costs.frame import CLEARANCE
 from planner.problem.tasks.flight import check_flight_time
 from planner.problem.tasks.legs import (
@@ -238,7 +239,9 @@ def feet_of(mechanism: Mechanism, x: np.ndarray) -> list[Foot]:
     standing = standing_feet(mechanism, x)
     if not standing:
         planes = "" if mechanism.contacts else "the model has no plane, so "
-        write = "" if mechanism.contacts else ': a <geom type="plane" size="0 0 1"/> in worldbody, or `floor = true`'
+        path = str(mechanism.origin.get("path", ""))
+        floor = "`floor = true`" if path and is_urdf(path) else 'a <geom type="plane" size="0 0 1"/> in worldbody'
+        write = "" if mechanism.contacts else f": {floor}"
         raise PlannerError(
             f"{planes}the machine stands on no foot at the start, expected one on the ground{write}, or no gait."
         )
