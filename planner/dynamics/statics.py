@@ -23,11 +23,10 @@ import numpy as np
 
 from planner.base.arguments import array
 from planner.base.errors import PlannerError
-from planner.dynamics.algorithms import bias, mass_matrix
-from planner.dynamics.assembly import feasible_directions
+from planner.dynamics.algorithms import mass_matrix
 from planner.dynamics.contacts import contact_forces, contact_jacobians
 from planner.dynamics.kinematics import center_of_mass
-from planner.dynamics.quasi_static import carried_by_thrusters, weight
+from planner.dynamics.quasi_static import carried_by_thrusters
 from planner.dynamics.resting_poses import along_ground, extended, minimum_of_energy, saddle_of_energy
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.capabilities import rolling_radii, roots, stands_on_ground, unactuated_basis
@@ -36,7 +35,6 @@ from planner.model.mechanism import Mechanism
 RANK = 1e-6  # relative to the largest singular value: of contact Jacobians
 KEPT = 0.01  # m or rad: what a pose asks for to that, a machine that balances there does not change
 NEAR_GROUND = 0.05  # m: who writes a pose puts feet down to some centimetres
-CARRIED = 0.01  # of its weight: springs that leave no more of it carry a machine
 MANY = 20  # largest number of contacts of a tree that determine its vertical displacement
 UPWARDS = 0.8  # cosine of a plane's normal to the vertical: planes below it are walls
 TURNS = 5  # largest number of iterations of the midpoint Jacobian
@@ -128,26 +126,6 @@ def clearance(mechanism: Mechanism, x: np.ndarray) -> float:
 def stays_in_air(mechanism: Mechanism, x: np.ndarray) -> bool:
     """Whether a state (nx,) at rest is one in the air, where thrusters can carry the machine."""
     return clearance(mechanism, x) > NEAR_GROUND and carried_by_thrusters(mechanism)
-
-
-def falls_from_rest(mechanism: Mechanism, x: np.ndarray) -> bool:
-    """Whether nothing carries a machine at rest in a state (nx,) more than NEAR_GROUND above the ground.
-
-    Neither thrusters nor springs, a weight taken off, or a loop that ties it to the world: it would fall as a whole.
-    """
-    if np.any(x[mechanism.velocities]) or not NEAR_GROUND < clearance(mechanism, x) < np.inf:
-        return False
-    if carried_by_thrusters(mechanism):
-        return False
-    try:
-        down = mechanism.space.difference(lowered_to_ground(mechanism, x), x)[: mechanism.nv]
-    except PlannerError:
-        return False
-    q = x[: mechanism.nq]
-    Z = feasible_directions(mechanism, q)[0]
-    held = float(np.abs(Z @ np.linalg.lstsq(Z, down, rcond=None)[0] - down).max()) > RANK * float(np.abs(down).max())
-    work = -float(down @ bias(mechanism, q, np.zeros(mechanism.nv)))
-    return not held and work > CARRIED * weight(mechanism) * clearance(mechanism, x)
 
 
 def stands_somewhere(mechanism: Mechanism, xs: np.ndarray) -> bool:

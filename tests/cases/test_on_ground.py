@@ -111,33 +111,6 @@ def test_a_coordinate_that_the_goal_names_is_kept_where_it_is_at_its_start_value
     assert end[0] == pytest.approx(asked, abs=1e-12) if kept else abs(end[0]) > 0.04
 
 
-@pytest.mark.parametrize(
-    ("start", "goal", "more", "said"),
-    [
-        ("{ z = 1.3, hip = 0.1 }", "{ hip = 0.1 }", "", "the start is at rest .* m above the ground; put down on it"),
-        ("{ hip = 0.1 }", "{ z = 1.3, hip = 0.2 }", "settle = false", "the goal rests .* where nothing carries"),
-    ],
-)
-def test_what_rests_in_the_air_is_no_landing(tmp_path, start, goal, more, said):
-    """Put down, the start is at its goal, and doing nothing would pass; nothing carries the machine at the other."""
-    (tmp_path / "sled.xml").write_text(HOPPER.replace('pos="0 0 1"', 'pos="0 0 .55"'))
-    (tmp_path / "p.toml").write_text(TABLE.format(start=start, goal=goal, more=f'contacts = "file"\n{more}'))
-    with pytest.raises(planner.PlannerError, match=said):
-        load(tmp_path / "p.toml")
-
-
-@pytest.mark.parametrize("spring", ["", ' stiffness="1000" springref="0.05617"'])
-def test_a_fall_ends_on_the_ground_unless_something_carries_the_machine(tmp_path, spring):
-    (tmp_path / "sled.xml").write_text(HOPPER.replace('axis="0 0 1"', f'axis="0 0 1"{spring}'))
-    table = TABLE.format(start="{ hip = 0.1 }", goal="{ hip = 0.2 }", more='contacts = "file"\nsettle = false')
-    (tmp_path / "p.toml").write_text(table)
-    file = load(tmp_path / "p.toml")
-    assert file.problem.x0[1] == 0.0
-    end = tracking_of(file.problem.cost).x_ref[-1]
-    assert end[1] == 0.0 if spring else clearance(file.problem.dynamics.mechanism, end) < 0.0
-    assert any("goal is put on the ground" in one for one in file.notes) == (not spring)
-
-
 def test_a_goal_that_settles_to_the_start_is_the_start(tmp_path):
     """Asked to stand 1 cm lower than it can: then to stay is the task, and not a motion of 1e-10 m."""
     file = loaded(tmp_path, "{ root = [0, 0, -0.95, 1, 0, 0, 0] }", "{ root = [0, 0, -0.96, 1, 0, 0, 0] }")

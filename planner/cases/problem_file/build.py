@@ -291,7 +291,7 @@ def _built(
     goal = at_rest if tasked else state_of("goal", table["goal"], mechanism, at_rest, closed)
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
-    x0, goal, notes = place_on_ground(mechanism, table, x0, goal, plain=not (tasked or steps_of(table)))
+    x0, goal, notes = place_on_ground(mechanism, table, x0, goal)
     x0, goal, stops = off_stops(mechanism, table, x0, goal)
     x0, goal, notes = at_rest_on_stops(mechanism, table, x0, goal, notes)
     build = partial(again, mechanism, *constraints)

@@ -18,8 +18,6 @@ from planner.cases.problem_file.states import state_of
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.statics import (
     NEAR_GROUND,
-    clearance,
-    falls_from_rest,
     feet_move,
     goal_without_foot_slip,
     lowered_to_ground,
@@ -40,19 +38,16 @@ SAME_POSE_TOLERANCE = 1e-6  # m or rad: poses at rest are found as exactly as fo
 
 
 def place_on_ground(
-    mechanism: Mechanism, table: dict[str, Any], start: np.ndarray, goal: np.ndarray, plain: bool = True
+    mechanism: Mechanism, table: dict[str, Any], start: np.ndarray, goal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, dict[str, str]]:
     """Start and goal (nx,) as they are planned, and by these names a sentence about what was done to each.
 
     With settle = "auto" and a law of the ground, what is at rest is put down from any height, and a sentence says so:
     files let machines fall from a little above. A pose that does not balance is put down as it is, and so is one that
     is tilted on purpose, of a machine that balances upright; thrusters keep a machine that they can carry in the air.
-    `plain`: the goal is one state to end in, not the start that stands for goals of frames or for a cycle.
 
     Raises:
-        PlannerError: settle is none of true, false and "auto"; true, and a pose does not stay on the ground; false,
-            and the goal rests in the air, where nothing carries the machine; "auto", and a start in the air would be
-            put down on its goal.
+        PlannerError: settle is none of true, false and "auto"; true, and a pose does not stay on the ground.
     """
     settle = table["settle"]
     if not (isinstance(settle, bool) or settle == "auto"):
@@ -60,8 +55,7 @@ def place_on_ground(
     if settle is True:
         return _settled("start", start, mechanism), _settled("goal", goal, mechanism), {}
     if not _puts_down(mechanism, table):
-        return (start, *_goal_that_rests(mechanism, table, goal)) if plain else (start, goal, {})
-    given = start
+        return start, goal, {}
     asked = np.abs(mechanism.space.difference(goal, start)[: mechanism.nv]) > SAME_POSE_TOLERANCE
     asked |= _named_in(table.get("goal"), mechanism)
     start, note = _lower_to_ground("start", start, mechanism)
@@ -73,8 +67,6 @@ def place_on_ground(
     goal = there
     if np.abs(mechanism.space.difference(goal, start)).max() < SAME_POSE_TOLERANCE:
         goal = start.copy()
-        if plain and RESOLVED not in table:
-            _check_start_named(mechanism, table, given, start)
     return start, goal, {name: said for name, said in (("start", note), ("goal", other)) if said}
 
 
@@ -115,42 +107,6 @@ def with_ramp(mechanism: Mechanism, ramp: float | None) -> Mechanism:
 def _puts_down(mechanism: Mechanism, table: dict[str, Any]) -> bool:
     """Whether poses at rest are put on the ground without being asked to."""
     return table["settle"] is not False and table["contacts"] in STANDING and bool(mechanism.contacts)
-
-
-def _check_start_named(mechanism: Mechanism, table: dict[str, Any], given: np.ndarray, start: np.ndarray) -> None:
-    """Refuse a start (nx,) that names where it is in the air, and that is on its goal once it is put down."""
-    way = np.abs(mechanism.space.difference(start, given)[: mechanism.nv])
-    named = _named_in(table.get("start"), mechanism) & (way > NEAR_GROUND)
-    if named.any() and (above := clearance(mechanism, given)) > NEAR_GROUND:
-        raise PlannerError(
-            f"the start is at rest {above:.2g} m above the ground; put down on it, it is at the goal, and a plan that "
-            f"does nothing would pass. Expected settle = false or {mechanism.nq + mechanism.nv} numbers with a "
-            f"velocity (then it falls and lands), a start on the ground without "
-            f"{mechanism.joint_of(int(np.argmax(named * way)))}, or another goal."
-        )
-
-
-def _goal_that_rests(
-    mechanism: Mechanism, table: dict[str, Any], goal: np.ndarray
-) -> tuple[np.ndarray, dict[str, str]]:
-    """With settle = false, a goal (nx,) at rest in the air, which no plan reaches, on the ground; and what to say.
-
-    Raises:
-        PlannerError: The goal itself says that it is in the air.
-    """
-    stands = table["contacts"] in STANDING and mechanism.contacts
-    if not stands or not falls_from_rest(mechanism, goal):
-        return goal, {}
-    there, _ = _lower_to_ground("goal", goal, mechanism)
-    way = np.abs(mechanism.space.difference(there, goal)[: mechanism.nv])
-    asked = table["goal"]
-    if not isinstance(asked, Mapping) or np.any(_named_in(asked, mechanism) & (way > NEAR_GROUND)):
-        raise PlannerError(
-            f"the goal rests {clearance(mechanism, goal):.2g} m above the ground, where nothing carries the machine, "
-            f"expected one on the ground: settle = 'auto' puts it there, or leave "
-            f"{mechanism.joint_of(int(np.argmax(way)))} out."
-        )
-    return there, {"goal": f"goal is put on the ground, {way.max():.2g} m or rad from the start: in the air it falls."}
 
 
 def _goal_on_ground(mechanism: Mechanism, goal: Goal) -> Goal:
