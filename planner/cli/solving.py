@@ -156,7 +156,7 @@ def show_plan(plan: Plan, seconds: float | None, console: Console, which: str = 
     if not plan.success or plan.missed_goals:
         console.write_result(plan.message)
     shortest = plan.options.get("durations", (0.0,))[0]
-    if plan.converged and plan.t[-1] <= shortest * (1.0 + 1e-9):
+    if plan.success and not plan.missed_goals and plan.t[-1] <= shortest * (1.0 + 1e-9):
         console.write_result("The shortest duration that was allowed suffices: write a shorter one in `durations`.")
     for key in ("first_guess", "not_finite", "cut"):  # what became of a guess that ran away; what a budget cut
         if key in plan.options and plan.options[key] != plan.status.name:

@@ -173,7 +173,8 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed, repeated: bool = F
         note = "of the cost: what one more step of SLQ promises"
         if left <= EXPECTED_REDUCTION_TOLERANCE * max(1.0, abs(plan.cost)) and done:  # a light machine may cost 1e-10
             left, note = 0.0, f"{note}; {left:.3g} of {plan.cost:.3g} is less than what a solve goes on for"
-        if 100.0 * left > COST_BOUND * scale and (is_nonsmooth(plan) or _approximate(problem) or _clamped(plan)):
+        tries = is_nonsmooth(plan) or _approximate(problem) or _clamped(plan, problem)
+        if tries and 100.0 * left > COST_BOUND * scale:
             note = f"of the cost: what {STEPS} more steps of SLQ gain; the next promises {100.0 * left / scale:.3g} %"
             left = remaining_decrease(plan, problem)
         left *= 100.0 / scale
@@ -188,13 +189,12 @@ def _approximate(problem: Problem) -> bool:
     return any(isinstance(term, JerkCost) for term in terms_of(problem.cost))
 
 
-def _clamped(plan: Plan) -> bool:
+def _clamped(plan: Plan, problem: Problem) -> bool:
     """Whether so many controls are at bounds, as in least time, that a sweep promises what no step achieves.
 
     It clamps stage by stage, and with gains that are zero there.
     """
-    bounds = None if plan.problem is None else plan.problem.bounds
-    return bounds is not None and float(bounds.at_bound(plan.xs, plan.us).mean()) > _MANY
+    return problem.bounds is not None and float(problem.bounds.at_bound(plan.xs, plan.us).mean()) > _MANY
 
 
 def _unseen(plan: Plan, problem: Problem) -> float:

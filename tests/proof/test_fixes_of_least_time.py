@@ -25,7 +25,7 @@ def test_longer_durations_for_a_search_whose_longest_is_too_short(tmp_path):
     assert (found.key, found.code) == ("durations", "too_little_force")
     assert found.value == [0.3, pytest.approx((5.774 * 2.0 / 4.5) ** 0.5, abs=0.11)]
     assert found.values["duration"].value == 1.0
-    assert found.written == f"`durations = {found.value}`"
+    assert found.written == "`--durations {:g},{:g}`".format(*found.value)  # the file names no objective
     plan = planner.solve_for(problem, "time", durations=found.value)
     assert plan.converged
     assert plan.t[-1] == pytest.approx(2.0 * (2.0 / 5.0) ** 0.5, rel=0.01)

@@ -69,7 +69,8 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     if first is None:  # pairs that lie flush or overlap at the start, and are pressed, else those that hardly touch
         if (flush := shapes.to_exclude(start, knots, flying)) or not may_avoid:
             return flush
-        first = next((pair for q in knots for pair in shapes.touching(q, 0.0) if pair not in shapes.at_start), None)
+        met = (pair for q in knots for pair in shapes.touching(q, 0.0) if pair not in shapes.at_start)
+        first = next((pair for pair in met if not shapes.is_flush(start, pair)), None)
         if first is None:
             return []
     pair = shapes.names(first)
@@ -166,6 +167,10 @@ class _Shapes:
                 return pair
         return None
 
+    def is_flush(self, q: np.ndarray, pair: tuple[int, int]) -> bool:
+        """Whether two geoms touch at a pose, to rounding."""
+        return self._gap(q, pair) <= 0.0
+
     def _gap(self, q: np.ndarray, pair: tuple[int, int]) -> float:
         """Distance of two geoms at a pose, m, LANDED at most; 0 of those that lie flush to rounding."""
         self._data.qpos[:] = q
@@ -182,10 +187,10 @@ class _Shapes:
         for q in poses:
             for pair, depth in self.touching(q, 0.0).items():
                 deeper[pair] = max(deeper.get(pair, -np.inf), depth - began.get(pair, 0.0))
-        worse = [pair for pair in deeper if goes_deeper(began.get(pair, 0.0), deeper[pair], self._scale)]
-        pairs = worse or [pair for pair in deeper if pair not in self.at_start]
-        pairs = [pair for pair in pairs if pair in self.at_start or self._gap(start, pair) <= 0.0]
+        pairs = [pair for pair in deeper if pair in self.at_start or self._gap(start, pair) <= 0.0]
         pairs = [pair for pair in pairs if not (self.is_ground(pair) and (flying or self._stands(pair)))]
+        worse = [pair for pair in pairs if goes_deeper(began.get(pair, 0.0), deeper[pair], self._scale)]
+        pairs = worse or [pair for pair in pairs if pair not in self.at_start]
         if not pairs:
             return []
         names = {tuple(self.model.body(int(self.model.geom_bodyid[geom])).name for geom in pair) for pair in pairs}

@@ -107,7 +107,8 @@ def _of_jump(plan: Plan, problem: Problem, time: float) -> str:
     assert mechanism is not None  # checked by jump_not_found
     pushes = [n for n in range(plan.N) if plan.t[n] < time and clearance(mechanism, plan.xs[n]) <= 0.0]
     if problem.bounds is not None and pushes:
-        share = np.max(controls_at_bounds(problem, plan.xs, plan.us)[pushes].mean(axis=0), initial=0.0)
+        works = np.abs(plan.us) > 0.0  # a control that rests at a bound of 0 is not too weak
+        share = np.max((controls_at_bounds(problem, plan.xs, plan.us) & works)[pushes].mean(axis=0), initial=0.0)
         advice += ["stronger actuators"] if share > WEAK_SHARE else []
     return " or ".join(advice)
 

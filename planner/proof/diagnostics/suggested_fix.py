@@ -102,7 +102,7 @@ def _written(problem: Problem, key: str, value: Any) -> str:
     flag = f"--{name.replace('_', '-')} {value}"
     if key in FLAGS and not (of_file(problem) and key != ITERATIONS):
         return f"solve(..., {key}={value})" if problem.case is None else flag
-    if key == "durations" and not of_file(problem):
+    if key == "durations" and "objective" not in problem.parameters:  # a file has no durations without one
         of_case = f"--durations {','.join(f'{one:g}' for one in value)}"
         return f"solve_for(..., durations={value})" if problem.case is None else of_case
     if of_file(problem):
