@@ -106,6 +106,11 @@ class CollisionChecker:
             paths[key] = None if in_vain else self._search(start, goal, seed, samples)
         return paths[key]
 
+    def seek_path(self, start: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
+        """The same by a longer search, where the first one finds none."""
+        path = self.find_path(start, goal)
+        return self.find_path(start, goal, samples=MORE_SAMPLES) if path is None else path
+
     def _search(self, start: np.ndarray, goal: np.ndarray, seed: int, samples: int) -> np.ndarray | None:
         at_ends = self.distances(np.stack([start, goal])).min(axis=0)
         low, high = self._mechanism.joint_range.T
@@ -142,10 +147,7 @@ def collision_free_motion(
         return None
     if np.any(x0[v]) or np.any(goal[v]):
         return None
-    checker, ends = CollisionChecker(apart, mechanism), (x0[:nq], goal[:nq])
-    path = checker.find_path(*ends)
-    if path is None:
-        path = checker.find_path(*ends, samples=MORE_SAMPLES)
+    path = CollisionChecker(apart, mechanism).seek_path(x0[:nq], goal[:nq])
     if path is None:
         return None
     xs = np.tile(x0, (N + 1, 1))

@@ -97,11 +97,7 @@ def retimed(problem: Problem, duration: float) -> Problem:
         guess = {"guess": names["guess"]} if "guess" in names else {}  # its own is not needed, and may take long
         changes = ({"dt": dt} if "dt" in names else {}) | dict.fromkeys(guess, "zero")
         new = base_problem(problem.recipe.rebuilt(duration=duration, **changes))
-        recipe = (
-            None
-            if new.recipe is None
-            else replace(new.recipe, parameters=new.recipe.parameters | guess, found=new.recipe.found, _parts=())
-        )
+        recipe = new.recipe and replace(new.recipe, parameters=new.recipe.parameters | guess, _parts=())
         return replace(new, limits=problem.limits, us=problem.first_guess, twin=problem.twin, recipe=recipe)
     dynamics = _with_step(problem.dynamics, dt, getattr(problem.dynamics, "integrator", None))
     return replace(

@@ -137,3 +137,12 @@ def test_a_gap_that_only_the_clearance_closes_is_said(tmp_path, monkeypatch, cle
         table = first.applied(problem.parameters)
         assert table["avoid"] == problem.parameters["avoid"] | {"clearance": found}
         assert table["avoid"]["self"] is False
+
+
+def test_no_way_is_only_said_where_neither_search_finds_one(monkeypatch):
+    """The two spread their samples differently: one may find what the other does not."""
+    checker, path = object.__new__(CollisionChecker), np.zeros((2, 2))
+    for first, second in ((path, None), (None, path), (None, None)):
+        found = {False: first, True: second}
+        monkeypatch.setattr(CollisionChecker, "find_path", lambda self, a, b, found=found, **more: found[bool(more)])
+        assert (checker.seek_path(path[0], path[1]) is None) == (first is None and second is None)

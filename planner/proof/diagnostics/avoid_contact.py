@@ -93,7 +93,7 @@ def no_way_around(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
         return []
     checker = CollisionChecker(apart, mechanism).without_extra
     goal = cost.x_ref[-1, :nq]
-    if checker.find_path(problem.x0[:nq], goal, samples=MORE_SAMPLES) is not None:
+    if checker.seek_path(problem.x0[:nq], goal) is not None:
         return []
     return _closer_way(problem, apart, mechanism, goal) or [no_fix("goal", "no_way_around", samples=MORE_SAMPLES)]
 
