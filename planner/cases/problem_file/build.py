@@ -75,14 +75,14 @@ from planner.cases.problem_file.feasibility_checks import (
 )
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
 from planner.cases.problem_file.keys import DEFAULTS, KEYS, RESOLVED, TABLES, VALUES
-from planner.cases.problem_file.machine import folders_of, machine_of, prescribed_of
+from planner.cases.problem_file.machine import folders_of, lands, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
 from planner.cases.problem_file.resolved_defaults import with_resolved
 from planner.cases.problem_file.solving import ProblemFile
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
 from planner.cases.problem_file.stops import at_rest_on_stops, off_stops
-from planner.cases.problem_file.table import checked_values, with_defaults, with_model_limits
+from planner.cases.problem_file.table import checked_values, tables_of_joints, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
     check_task_departure,
     cost_of,
@@ -157,8 +157,15 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
         if key in table:
             table[key] = stored_records(records(table[key]), file, path.parent)
     folders = {"package_path": folders_of(path.parent, table["package_path"])} if "package_path" in table else {}
-    mechanism = machine_of(model_location(table["model"], path.parent), table | folders, None)
-    problem = _problem(with_files(table, path.parent, mechanism), mechanism, str(path))
+    location = model_location(table["model"], path.parent)
+
+    def built(table: dict[str, Any]) -> Problem:
+        mechanism = machine_of(location, table | folders, None)
+        return _problem(with_files(table, path.parent, mechanism), mechanism, str(path))
+
+    problem = built(table)
+    if table["contacts"] == "auto" and "avoid" not in table and lands(problem):
+        problem = built(table | {"contacts": "file"})
     if cycles * problem.N > MAX_STAGES:
         raise PlannerError(
             f"periodic has {cycles} cycles of {problem.N} stages, expected at most {MAX_STAGES} stages together."
@@ -246,15 +253,6 @@ def _problem(
         raise type(error)(" ".join([str(error), *read])) from None
 
 
-def _tables_of_joints(table: dict[str, Any]) -> list[tuple[str, Any]]:
-    """Where a table has positions of joints by name: what it is called there, and what is given."""
-    goals = table.get("goal")
-    if not isinstance(goals, list):
-        return [("start", table["start"]), ("goal", goals)]
-    several = [one for one in goals if isinstance(one, dict)]
-    return [("start", table["start"]), *((f"goal {k + 1}", one.get("joints")) for k, one in enumerate(several))]
-
-
 def _left_out(mechanism: Mechanism) -> list[str]:
     """What the model is read without, but for contacts, of which a line of their own tells."""
     return [phrase for phrase in mechanism.ignored if phrase != "contacts"]
@@ -305,7 +303,7 @@ def _built(
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed, substeps)
     if told:
         reasons["start"] = told
-    if turns := angles_in_degrees(mechanism, _tables_of_joints(table)):
+    if turns := angles_in_degrees(mechanism, tables_of_joints(table)):
         reasons["angles"] = turns
     if mechanism.contacts_choice:
         reasons["contacts"] = f"{mechanism.contacts_choice}."

@@ -14,12 +14,17 @@ from planner.base.arguments import choice, number, short_repr
 from planner.base.data_files import check_keys
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.keys import GROUND, LAW, URDF
+from planner.model.capabilities import capabilities_of, floating_dofs, is_thrust
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.contact_mode import MODES
+from planner.model.mjcf.contact_mode import MODES, stands_at
 from planner.model.mjcf.ground_law import UNCERTAINTY
 from planner.model.mjcf.unsupported import KINDS
 from planner.model.urdf.read import read_model
+from planner.problem.constraints.clearance import model_index_of
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.goals import MIN_TOLERANCES
+from planner.problem.problem import Problem
 
 ADDED = {"attach": "attach", "obstacles": "obstacle", "exclude": "exclude"}
 """What a file may add to its model: the argument of read_model(), and its key."""
@@ -56,6 +61,16 @@ def machine_of(model: str | Path, table: dict[str, Any], assets: dict[str, bytes
             f"prescribed = {joints}."
         )
     return mechanism
+
+
+def lands(problem: Problem) -> bool:
+    """Whether a machine that is planned without contacts is to end on the ground, nearer than a goal's tolerance."""
+    mechanism, cost = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
+    if mechanism is None or cost is None or mechanism.contacts_mode != "avoid":
+        return False
+    if not is_thrust(mechanism) and not np.any(floating_dofs(mechanism)):
+        return False
+    return stands_at(model_index_of(mechanism), cost.x_ref[-1, : mechanism.nq], MIN_TOLERANCES["m"])
 
 
 def _contact_law(law: dict[str, Any], mechanism: Mechanism) -> ContactLaw:

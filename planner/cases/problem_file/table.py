@@ -93,3 +93,12 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
     if "durations" in table:
         table["durations"] = list(checked_durations(table["durations"], table.get("objective", {})) or ())
     return table, N
+
+
+def tables_of_joints(table: dict[str, Any]) -> list[tuple[str, Any]]:
+    """Where a table has positions of joints by name: what it is called there, and what is given."""
+    goals = table.get("goal")
+    if not isinstance(goals, list):
+        return [("start", table["start"]), ("goal", goals)]
+    several = [one for one in goals if isinstance(one, dict)]
+    return [("start", table["start"]), *((f"goal {k + 1}", one.get("joints")) for k, one in enumerate(several))]

@@ -11,6 +11,8 @@ A tree of bodies can fall if it begins with a free joint, or with slides of whic
 actuator nor a spring nor gravity compensation holds them. It is a machine if actuators drive some of its joints, else
 an object. The mode follows from the machines: objects beside an arm or a hand that cannot fall do not make it stand. An
 object that lies on something of which the plan knows no contact is kept where it starts (`stationary_roots`).
+
+What flies is planned without contacts. A problem file whose goal is on the ground takes "file" (`stands_at`).
 """
 
 from __future__ import annotations
@@ -108,6 +110,17 @@ def file_pairs(survey: ModelIndex) -> list[Pair]:
         is_plane = survey.model.geom_type[flat] == int(load_mujoco().mjtGeom.mjGEOM_PLANE)
         found += [pair] if is_plane or _lies_above(survey, flat, other) else []
     return found
+
+
+def stands_at(survey: ModelIndex, q: np.ndarray, within: float) -> bool:
+    """Whether shapes are nearer than `within` m to ground of which "file" knows the law, at positions q (nq,)."""
+    mujoco, model = load_mujoco(), survey.model
+    pairs, data = file_pairs(survey), mujoco.MjData(model)
+    if not pairs or any(file_law_reason(model, pair) for pair in pairs):
+        return False
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    return any(mujoco.mj_geomDistance(model, data, *pair.geoms, 2.0 * within, None) < within for pair in pairs)
 
 
 def machine_roots(survey: ModelIndex) -> set[int]:

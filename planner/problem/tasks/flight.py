@@ -27,7 +27,7 @@ from planner.dynamics.contacts import contact_forces
 from planner.dynamics.inverse_kinematics import Target, inverse_kinematics
 from planner.dynamics.kinematics import frame_pose, jacobian
 from planner.dynamics.statics import STRIDE, clearance
-from planner.model.capabilities import stands_on_ground, unreached_dofs
+from planner.model.capabilities import stands_on_ground, thrusters, unreached_dofs
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.example_task import strongest
 from planner.problem.tasks.poses import Poses, stage_targets
@@ -50,6 +50,8 @@ def check_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: 
     """
     mechanism = dynamics.mechanism
     if not np.any(mechanism.gravity) or not stands_on_ground(mechanism) or mechanism.has_closed_chains:
+        return
+    if np.any(thrusters(mechanism)):  # they push without the ground
         return
     if not contact_forces(mechanism, poses.q[0], np.zeros(mechanism.nv)).forces.any():
         return
@@ -115,8 +117,8 @@ def check_flight_time(mechanism: Mechanism, label: str, seconds: float, ranges: 
 
 
 def _takeoff_speed(mechanism: Mechanism, ranges: np.ndarray) -> float:
-    """m/s, at most, by the actuators' work over ranges (nv, 2); inf with springs, which may have stored more."""
-    if np.any(mechanism.stiffness) or np.any(mechanism.ball_stiffness):
+    """m/s, at most, by the actuators' work over ranges (nv, 2); inf with thrusters, or springs that may have more."""
+    if np.any(mechanism.stiffness) or np.any(mechanism.ball_stiffness) or np.any(thrusters(mechanism)):
         return math.inf
     force, stroke = strongest(mechanism), np.diff(ranges, axis=1)[:, 0]
     pushing = mechanism.directly_actuated & (force > 0.0)
