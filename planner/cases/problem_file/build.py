@@ -88,6 +88,7 @@ from planner.cases.problem_file.tasks import (
     cost_of,
     guess_of,
     is_task,
+    jumping_guess,
     path_lengths,
     resolve_task,
     steps_of,
@@ -262,7 +263,7 @@ def _built(
     table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...],
     found: Mapping[str, np.ndarray] | None,
 ) -> Problem:  # fmt: skip
-    told, rebuilt = "", RESOLVED in table
+    told, rebuilt, given = "", RESOLVED in table, table
     if table.get("prescribed"):
         mechanism = mechanism.without_lead_stops()
     if "start" not in table and (own := start_of_model(mechanism)) is not None:
@@ -377,7 +378,9 @@ def _built(
         periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic.image, cycle),
         actual_reduction_tolerance=_gain(mechanism, cycle),
     )  # fmt: skip
-    problem = replace(problem, us=first_guess(problem, table["guess"], goal, along) if us is None else us)
+    if us is None:
+        us = first_guess(problem, table["guess"], goal, along, way and jumping_guess(way, build, given))
+    problem = replace(problem, us=us)
     if way is not None and wanted is not None:
         check_task_departure(x0, wanted, way.task)
         check_goal_controllable(problem, way.rows)

@@ -7,8 +7,8 @@ tracking        gains of a regulator that tracks that line, for any other machin
 hold            the start held against gravity, as far as the actuators can
 zero            no control
 auto            collision-free where something is avoided and there is such a path, line where there is one, else
-                tracking where that ends nearer to the goal than hold does, else hold; of a gait the controls that
-                multiple shooting finds along it
+                tracking where that ends nearer to the goal than hold does, else hold; of a gait, or of jumps to
+                goals in the air, the controls that multiple shooting finds along it
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ class ReferenceTrajectory(NamedTuple):
 
 
 def first_guess(
-    problem: Problem, kind: str, goal: np.ndarray, way: ReferenceTrajectory | None = None
-) -> np.ndarray | None:
-    """Controls (N, nu) of a kind that lead towards a goal (nx,), or along a way; None for zero.
+    problem: Problem, kind: str, goal: np.ndarray, way: ReferenceTrajectory | None = None,
+    jump: np.ndarray | None = None,
+) -> np.ndarray | None:  # fmt: skip
+    """Controls (N, nu) of a kind that lead towards a goal (nx,), or along a way, or those of a jump; None for zero.
 
     Raises:
         PlannerError: There is no line, or the tracked rollout diverges.
@@ -85,7 +86,9 @@ def first_guess(
         )
     hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None
-    if kind == "auto" and way is not None and way.walks:
+    if kind == "auto" and jump is not None:
+        found = jump
+    elif kind == "auto" and way is not None and way.walks:
         found = controls_along(problem, way.states, _servos_along(problem), SHOTS)
     elif kind != "hold":
         found = line_tracking_controls(problem, goal) if way is None else tracking_controls(problem, way.states)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,9 +30,10 @@ from planner.problem.default_weights import (
 )
 from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
+from planner.problem.problem import Problem
 from planner.problem.reaching_cost import along_gait
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
-from planner.problem.tasks.flight import check_flight
+from planner.problem.tasks.flight import check_flight, phases_of_jumps
 from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, with_points
 from planner.problem.tasks.pose_constraints import PoseConstraints
@@ -62,6 +63,7 @@ class ResolvedTask(NamedTuple):
     waypoints: tuple[int, ...] = ()  # goals whose share of the duration was chosen
     gait: str = ""  # Sentence about the gait that the rows are; "" for none
     stands: bool = False  # Whether positions refer to the rows all the time: a machine on feet that stay, or a gait
+    jumps: Sequence[dict[str, Any]] = ()  # Tables of phases with which its goals in the air are reached
 
 
 def is_task(table: dict[str, Any], mechanism: Mechanism) -> bool:
@@ -159,7 +161,8 @@ def resolve_task(
     stands = steps is not None or _stands_all_along(table, task, poses)
     rows = reference_states(task, resting(poses, 1.0 - MOVING_SHARE) if stands else poses, x0)
     if steps is None:
-        return ResolvedTask(task, poses, rows, apart, waypoints, stands=stands)
+        jumps = phases_of_jumps(task, poses, dynamics, ranges) if stored is None else ()
+        return ResolvedTask(task, poses, rows, apart, waypoints, stands=stands, jumps=jumps)
     rows, said = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges, _is_direct(task))
     return ResolvedTask(task, poses, rows, apart, waypoints, said, stands)
 
@@ -259,6 +262,20 @@ def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> 
                 None if dynamics.prescribed else found.controls, found.states, _is_direct(way.task)
             )
     return ReferenceTrajectory(controls(way.task, way.poses, dynamics, x0), way.rows, _is_direct(way.task))
+
+
+def jumping_guess(way: ResolvedTask, build: Callable[..., Problem], table: dict[str, Any]) -> np.ndarray | None:
+    """Controls (N, nu) of the same task with phases of its jumps, from its table; None without jumps.
+
+    Where a machine stands hardly a gradient leads off the ground. The motion of the phases has it in the air, and
+    multiple shooting finds the push.
+    """
+    if not way.jumps or table["guess"] != "auto":
+        return None
+    try:
+        return build(**{name: value for name, value in table.items() if name != RESOLVED}, phase=way.jumps).us
+    except PlannerError:  # its legs do not reach
+        return None
 
 
 def _is_direct(task: Task) -> bool:

@@ -17,7 +17,8 @@ ahead turns speed along the ground into height.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,9 +31,11 @@ from planner.dynamics.statics import STRIDE, clearance
 from planner.model.capabilities import stands_on_ground, thrusters, unreached_dofs
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.example_task import strongest
+from planner.problem.tasks.legs import height_of, standing_feet
 from planner.problem.tasks.poses import Poses, stage_targets
 from planner.problem.tasks.timed_task import Task
 
+BENT = 0.05  # of the height of the centre of mass, by which legs are shorter than at their longest at a take-off
 GOAL_SCALE, FOOT_SCALE = 0.1, 1e-3  # m of residuals of 1: what the legs lack is left to the goal
 
 
@@ -48,26 +51,66 @@ def check_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: 
     Raises:
         PlannerError: A goal is higher than gravity lets the machine be at its time, or than its legs push it.
     """
+    for one in _in_flight(task, poses, dynamics):
+        # lowered by its gap the pose stands: the legs lack less
+        if _refusal(dynamics.mechanism, one.gap, one.time, one.landing, ranges):
+            c = min(one.gap, missing_height(dynamics.mechanism, one.targets, poses.q[0], ranges))
+            if refusal := _refusal(dynamics.mechanism, c, one.time, one.landing, ranges):
+                raise PlannerError(f"{one.label} {refusal}")
+
+
+def phases_of_jumps(
+    task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: np.ndarray
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Tables [[phase]] of a machine that is to jump to goals in flight, each at the apex of a parabola; [] for none.
+
+    It stands before and after. From the height c above what its legs reach it falls for sqrt(2 c / g), from BENT of its
+    own height more where they are not quite straight. Arguments as in check_flight().
+    """
+    mechanism, found, end = dynamics.mechanism, list[dict[str, Any]](), 0.0
+    goals = list(_in_flight(task, poses, dynamics))
+    if not goals:
+        return []
+    standing = standing_feet(mechanism, poses.q[0])
+    feet, bend = [foot.name for foot in standing], BENT * height_of(mechanism, poses.q[0], standing)
+    for one in goals:
+        c = min(one.gap, missing_height(mechanism, one.targets, poses.q[0], ranges))
+        if c <= 0.0:
+            continue
+        half = math.sqrt(2.0 * (c + bend) / float(np.linalg.norm(mechanism.gravity)))
+        if one.time - half <= end or one.time + half >= min(one.landing, task.duration):
+            return []
+        end = one.time + half
+        found += [{"until": one.time - half, "stand": feet}, {"until": end, "stand": []}]
+    return [*found, {"stand": feet}] if found else []
+
+
+class _InFlight(NamedTuple):
+    """A goal in the air of a machine that stands at the start."""
+
+    label: str
+    targets: Sequence[Target]
+    gap: float  # m, between the ground and the pose of the goal
+    time: float  # s
+    landing: float  # s, of the next pose that stands; infinite without one
+
+
+def _in_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics) -> Iterator[_InFlight]:
+    """The goals of places in the air, none of machines that thrusters push."""
     mechanism = dynamics.mechanism
     if not np.any(mechanism.gravity) or not stands_on_ground(mechanism) or mechanism.has_closed_chains:
         return
-    if np.any(thrusters(mechanism)):  # they push without the ground
-        return
-    if not contact_forces(mechanism, poses.q[0], np.zeros(mechanism.nv)).forces.any():
+    if np.any(thrusters(mechanism)) or not contact_forces(mechanism, poses.q[0], np.zeros(mechanism.nv)).forces.any():
         return
     gaps = [clearance(mechanism, q) for q in poses.q]  # it reads the positions alone
     for k in np.flatnonzero(np.array(gaps) > STRIDE):
         stage = int(poses.stages[k])
         here = [one for one in task.goals if one.stage == stage]
         targets = stage_targets(task, stage, here).targets
-        if not any(target.position is not None for target in targets):
-            continue
-        landing = next((int(s) for s, gap in zip(poses.stages[k:], gaps[k:], strict=True) if gap <= STRIDE), math.inf)
-        t, T = stage * dynamics.dt, landing * dynamics.dt
-        if _refusal(mechanism, gaps[k], t, T, ranges):  # lowered by its gap the pose stands: the legs lack less
-            c = min(gaps[k], missing_height(mechanism, targets, poses.q[0], ranges))
-            if refusal := _refusal(mechanism, c, t, T, ranges):
-                raise PlannerError(f"{here[0].label} {refusal}")
+        if any(target.position is not None for target in targets):
+            lands = (int(s) for s, gap in zip(poses.stages[k:], gaps[k:], strict=True) if gap <= STRIDE)
+            times = stage * dynamics.dt, next(lands, math.inf) * dynamics.dt
+            yield _InFlight(here[0].label, targets, gaps[k], *times)
 
 
 def _refusal(mechanism: Mechanism, c: float, t: float, T: float, ranges: np.ndarray) -> str:

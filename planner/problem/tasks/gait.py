@@ -31,14 +31,16 @@ import numpy as np
 
 from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
-from planner.dynamics.kinematics import center_of_mass
 from planner.model.mechanism import Mechanism
 from planner.model.urdf.write import is_urdf
 from planner.problem.costs.frame import CLEARANCE
 from planner.problem.tasks.flight import check_flight_time
+from planner.problem.tasks.jump import flights_of, jumping
 from planner.problem.tasks.legs import (
     Foot,
+    centres_of,
     evenly_paced,
+    height_of,
     last_change,
     longest_step,
     over_support,
@@ -119,7 +121,9 @@ class Gait:
         when = evenly_paced(dragged, normals, of_points, dt) if direct and carried else t
         places = stepping(dragged, when, normals, of_points, lift, dt)
         q = over_support(mechanism, rows[:, :nq], places, stands, normals[0], dt)
-        q = with_legs(mechanism, q, standing, places, ranges)
+        flights = flights_of(stands)
+        high = jumping(mechanism, q, standing, places, flights, ranges, dt) if flights else None
+        q = with_legs(mechanism, q, standing, places, ranges) if high is None else high
         xs = rows.copy()
         xs[:, :nq] = q
         xs[1:-1, mechanism.velocities] = space.difference(xs[2:], xs[:-2])[:, :nv] / (2.0 * dt)
@@ -246,19 +250,6 @@ def feet_of(mechanism: Mechanism, x: np.ndarray) -> list[Foot]:
             f"{planes}the machine stands on no foot at the start, expected one on the ground{write}, or no gait."
         )
     return standing
-
-
-def centres_of(standing: list[Foot], points: np.ndarray) -> np.ndarray:
-    """(N, F, 3) m, the middles of feet, of places (N, K, 3) of their points."""
-    firsts = np.cumsum([0, *(len(foot.points) for foot in standing[:-1])])
-    return np.stack([part.mean(axis=1) for part in np.split(points, firsts[1:], axis=1)], axis=1)
-
-
-def height_of(mechanism: Mechanism, x: np.ndarray, standing: list[Foot]) -> float:
-    """m, of the centre of mass above the feet at a state (nx,)."""
-    q = x[: mechanism.nq]
-    feet = centres_of(standing, points_of_feet(mechanism, q[None], standing)[0])[0]
-    return float(standing[0].normal @ (center_of_mass(mechanism, q) - feet.mean(axis=0)))
 
 
 def stands_at(t: np.ndarray, swings: list[list[tuple[float, float]]]) -> np.ndarray:

@@ -56,6 +56,19 @@ def points_of_feet(mechanism: Mechanism, q: np.ndarray, feet: list[Foot]) -> tup
     return points_of(mechanism, q, links, np.vstack([foot.points for foot in feet]))
 
 
+def centres_of(standing: list[Foot], points: np.ndarray) -> np.ndarray:
+    """(N, F, 3) m, the middles of feet, of places (N, K, 3) of their points."""
+    firsts = np.cumsum([0, *(len(foot.points) for foot in standing[:-1])])
+    return np.stack([part.mean(axis=1) for part in np.split(points, firsts[1:], axis=1)], axis=1)
+
+
+def height_of(mechanism: Mechanism, x: np.ndarray, standing: list[Foot]) -> float:
+    """m, of the centre of mass above the feet at a state (nx,)."""
+    q = x[: mechanism.nq]
+    feet = centres_of(standing, points_of_feet(mechanism, q[None], standing)[0])[0]
+    return float(standing[0].normal @ (center_of_mass(mechanism, q) - feet.mean(axis=0)))
+
+
 def last_change(rows: np.ndarray) -> int:
     """The knot at which a motion (N+1, ...) comes to rest; all of it where it does not move."""
     changes = np.flatnonzero(np.abs(np.diff(rows, axis=0)).reshape(len(rows) - 1, -1).max(axis=1) > STILL)
@@ -214,7 +227,7 @@ def with_legs(
     """
     if mechanism.reduction is not None or mechanism.has_closed_chains:
         raise PlannerError("gait is for legs without closed chains and coupled joints, expected a [[goal]] without it.")
-    found, missing = _bent(mechanism, q, feet, places, ranges)
+    found, missing = bent(mechanism, q, feet, places, ranges)
     left = missing
     if missing.max() > REACHED and (not ends or missing[[0, -1]].max() <= REACHED):
         share, drop = np.ones(len(q)), 0.0
@@ -225,7 +238,7 @@ def with_legs(
         for _ in range(LOWERINGS):
             drop += left.max()
             lower = shifted(mechanism, q, -drop * np.outer(share, feet[0].normal))
-            found, errors = _bent(mechanism, lower, feet, places, ranges)
+            found, errors = bent(mechanism, lower, feet, places, ranges)
             if errors.max() >= left.max():
                 break
             left = errors
@@ -240,14 +253,19 @@ def with_legs(
     return found
 
 
-def _bent(
-    mechanism: Mechanism, q: np.ndarray, feet: list[Foot], places: np.ndarray, ranges: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Configurations with the feet's points as close to their places as legs take them, and (N+1, K) m, how close."""
+def legs_of(mechanism: Mechanism, feet: list[Foot]) -> np.ndarray:
+    """Degrees of freedom of the actuated joints that carry some feet."""
     legs = np.zeros(mechanism.nv, dtype=bool)
     for foot in feet:
         legs[chain_of(mechanism.parent, foot.link)] = True
-    own = np.flatnonzero(legs & mechanism.directly_actuated)
+    return np.flatnonzero(legs & mechanism.directly_actuated)
+
+
+def bent(
+    mechanism: Mechanism, q: np.ndarray, feet: list[Foot], places: np.ndarray, ranges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Configurations with the feet's points as close to their places as legs take them, and (N+1, K) m, how close."""
+    own = legs_of(mechanism, feet)
     at, rows, q = mechanism.q_address[own], 3 * places.shape[1], q.copy()
     for _ in range(NEWTON):
         here, J = points_of_feet(mechanism, q, feet)
