@@ -264,8 +264,8 @@ def test_a_high_jump_is_not_refused(tmp_path):
 
 def test_a_jump_that_no_solve_finds_says_how_high_the_plan_gets(tmp_path):
     """The leg reaches 0.65 m, less the margin of its range: what is lower needs no jump."""
-    options = planner.SolverOptions(max_iterations=3, homotopy=False)
-    plan = planner.solve(problem_of(tmp_path, HIGHER.format(height=2.0, time=0.6, duration=1.4)), options)
+    options, held = planner.SolverOptions(max_iterations=3, homotopy=False), 'guess = "hold"\n' + HIGHER
+    plan = planner.solve(problem_of(tmp_path, held.format(height=2.0, time=0.6, duration=1.4)), options)
     (found,) = suggested_fixes(plan)
     assert (found.code, found.value) == ("jump_not_found", None)
     at = {name: one.value for name, one in found.values.items() if name in ("asked", "reached", "standing")}
@@ -281,5 +281,5 @@ def test_a_jump_that_no_solve_finds_says_how_high_the_plan_gets(tmp_path):
     upper = plan.problem.bounds.at(slice(None), plan.xs[:-1])[1]
     (weak,) = suggested_fixes(replace(plan, us=upper))
     assert weak.values["advice"].endswith("or stronger actuators")
-    plan = planner.solve(problem_of(tmp_path, HIGHER.format(height=0.6, time=0.6, duration=1.4)), options)
+    plan = planner.solve(problem_of(tmp_path, held.format(height=0.6, time=0.6, duration=1.4)), options)
     assert "jump_not_found" not in [one.code for one in suggested_fixes(plan)]

@@ -31,6 +31,7 @@ from planner.dynamics.statics import STRIDE, clearance
 from planner.model.capabilities import stands_on_ground, thrusters, unreached_dofs
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.example_task import strongest
+from planner.problem.tasks.jump import height_above_legs
 from planner.problem.tasks.legs import height_of, standing_feet
 from planner.problem.tasks.poses import Poses, stage_targets
 from planner.problem.tasks.timed_task import Task
@@ -52,9 +53,9 @@ def check_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: 
         PlannerError: A goal is higher than gravity lets the machine be at its time, or than its legs push it.
     """
     for one in _in_flight(task, poses, dynamics):
-        # lowered by its gap the pose stands: the legs lack less
-        if _refusal(dynamics.mechanism, one.gap, one.time, one.landing, ranges):
-            c = min(one.gap, missing_height(dynamics.mechanism, one.targets, poses.q[0], ranges))
+        # lowered by its clearance the pose stands: the legs lack less
+        if _refusal(dynamics.mechanism, one.clearance, one.time, one.landing, ranges):
+            c = min(one.clearance, missing_height(dynamics.mechanism, one.targets, poses.q[0], ranges))
             if refusal := _refusal(dynamics.mechanism, c, one.time, one.landing, ranges):
                 raise PlannerError(f"{one.label} {refusal}")
 
@@ -65,7 +66,7 @@ def phases_of_jumps(
     """Tables [[phase]] of a machine that is to jump to goals in flight, each at the apex of a parabola; [] for none.
 
     It stands before and after. From the height c above what its legs reach it falls for sqrt(2 c / g), from BENT of its
-    own height more where they are not quite straight. Arguments as in check_flight().
+    own height more, since they are not quite straight then. Arguments as in check_flight().
     """
     mechanism, found, end = dynamics.mechanism, list[dict[str, Any]](), 0.0
     goals = list(_in_flight(task, poses, dynamics))
@@ -74,7 +75,7 @@ def phases_of_jumps(
     standing = standing_feet(mechanism, poses.q[0])
     feet, bend = [foot.name for foot in standing], BENT * height_of(mechanism, poses.q[0], standing)
     for one in goals:
-        c = min(one.gap, missing_height(mechanism, one.targets, poses.q[0], ranges))
+        c = height_above_legs(mechanism, one.q, poses.q[0], standing, ranges, one.clearance)
         if c <= 0.0:
             continue
         half = math.sqrt(2.0 * (c + bend) / float(np.linalg.norm(mechanism.gravity)))
@@ -90,7 +91,8 @@ class _InFlight(NamedTuple):
 
     label: str
     targets: Sequence[Target]
-    gap: float  # m, between the ground and the pose of the goal
+    q: np.ndarray  # (nq,) its pose
+    clearance: float  # m, between the ground and the pose of the goal
     time: float  # s
     landing: float  # s, of the next pose that stands; infinite without one
 
@@ -110,7 +112,7 @@ def _in_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics) -> Iterato
         if any(target.position is not None for target in targets):
             lands = (int(s) for s, gap in zip(poses.stages[k:], gaps[k:], strict=True) if gap <= STRIDE)
             times = stage * dynamics.dt, next(lands, math.inf) * dynamics.dt
-            yield _InFlight(here[0].label, targets, gaps[k], *times)
+            yield _InFlight(here[0].label, targets, poses.q[k], gaps[k], *times)
 
 
 def _refusal(mechanism: Mechanism, c: float, t: float, T: float, ranges: np.ndarray) -> str:

@@ -17,10 +17,11 @@ from planner.base.errors import PlannerError
 from planner.dynamics.kinematics import center_of_mass
 from planner.model.mechanism import Mechanism
 from planner.problem.initial_guess import minimum_jerk
-from planner.problem.tasks.legs import REACHED, Foot, bent, legs_of, shifted
+from planner.problem.tasks.legs import REACHED, Foot, bent, legs_of, points_of_feet, shifted
 
 DEPTH = 2.0 / 3.0  # of c: for an acceleration of 2 g
 LONGEST_PUSH = 0.6  # of the time on the ground before a take-off, the rest of it for the way down
+HALVINGS = 6  # of the interval in which legs begin to reach the ground: to 2 % of it
 MATCHES = 5  # times that the centre of mass is put on its way and legs bent: each moves the other
 
 
@@ -69,6 +70,30 @@ def jumping(
             "a longer flight, a lower goal, or more time before and after it."
         )
     return q
+
+
+def height_above_legs(
+    mechanism: Mechanism, q: np.ndarray, start: np.ndarray, feet: list[Foot], ranges: np.ndarray, highest: float
+) -> float:  # fmt: skip
+    """By how much a pose q (nq,) is higher than where its legs reach the ground, m, at most `highest`; 0 where they do.
+
+    The feet are beneath it as at the start (nq,).
+    """
+    n, places = feet[0].normal, points_of_feet(mechanism, start[None], feet)[0]
+    ahead = center_of_mass(mechanism, start[None]) - center_of_mass(mechanism, q[None])
+    beneath = shifted(mechanism, q[None], ahead - np.outer(ahead @ n, n))
+
+    def stands(drop: float) -> bool:
+        lower = shifted(mechanism, beneath, -drop * n[None])
+        return bool(bent(mechanism, lower, feet, places, ranges)[1].max() <= REACHED)
+
+    low, high = 0.0, highest
+    if stands(low):
+        return 0.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if stands(middle) else (middle, high)
+    return high
 
 
 def _heights(z: np.ndarray, flights: list[tuple[int, int]], g: float, dt: float) -> np.ndarray | None:

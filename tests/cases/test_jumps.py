@@ -1,0 +1,118 @@
+"""The first guess of a jump: crouch, push, parabola and landing, where a goal is in the air."""
+
+import numpy as np
+import pytest
+
+import planner
+from planner.cases.problem_file import load
+from planner.dynamics.contacts import contact_forces
+from planner.dynamics.kinematics import center_of_mass
+from planner.problem.tasks.flight import phases_of_jumps
+from planner.problem.tasks.gait import gait_of
+from planner.problem.tasks.jump import flights_of, height_above_legs, jumping
+from planner.problem.tasks.legs import points_of_feet, standing_feet
+
+# A trunk of 3 kg on a vertical rail, and a leg of two links of 0.25 m, of which motors drive both hinges.
+LEG = """<mujoco><compiler angle="radian"/><worldbody><geom type="plane" size="0 0 1"/>
+  <body name="trunk" pos="0 0 0.44"><joint name="z" type="slide" axis="0 0 1"/>
+    <geom type="box" size=".1 .06 .05" mass="3" contype="0" conaffinity="0"/>
+    <body name="thigh"><joint name="hip" axis="0 1 0" range="-1.6 1.6"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.25" size=".02" mass=".4" contype="0" conaffinity="0"/>
+      <body name="shank" pos="0 0 -.25"><joint name="knee" axis="0 1 0" range="-2.4 0"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -.25" size=".015" mass=".2" contype="0" conaffinity="0"/>
+        <geom name="foot" size=".03" pos="0 0 -.25" mass=".05"/></body></body></body></worldbody>
+  <actuator><motor joint="hip" gear="30" ctrlrange="-1 1"/><motor joint="knee" gear="30" ctrlrange="-1 1"/></actuator>
+  </mujoco>"""
+START = 'model = "leg.xml"\nstart = { hip = 0.6, knee = -1.2 }\nduration = 1.2\n'
+GOAL = "[[goal]]\njoints = { hip = 0.6, knee = -1.2 }\n"
+THROUGH = '[[goal]]\nframe = "trunk"\nposition = [0, 0, 0.7]\ntime = 0.6\nthrough = true\n'
+REACH = 0.53  # m, of the straight leg with its foot's radius
+
+
+def problem_of(tmp_path, text):
+    (tmp_path / "leg.xml").write_text(LEG)
+    (tmp_path / "p.toml").write_text(START + text)
+    return load(tmp_path / "p.toml").problem
+
+
+@pytest.fixture(scope="module")
+def jump(tmp_path_factory):
+    return problem_of(tmp_path_factory.mktemp("jump"), THROUGH + GOAL)
+
+
+def test_flights_begin_and_end_on_the_ground():
+    stands = np.array([1, 1, 0, 0, 1, 0, 1, 0], dtype=bool)[:, None]
+    assert flights_of(stands) == [(1, 4), (4, 6)]  # the last one does not land
+    assert flights_of(stands[2:]) == [(2, 4)]  # the first one did not start
+
+
+def test_the_height_above_the_legs_is_that_above_the_straight_leg(jump):
+    m, q = jump.dynamics.mechanism, jump.x0[:3].copy()
+    feet, highest = standing_feet(m, q), 0.7 - 0.44  # of the trunk
+    q[0] = 0.7 - 0.44  # of the slide: the file draws the trunk 0.44 m high
+    found = height_above_legs(m, q, jump.x0[:3], feet, m.joint_range, highest)
+    # Bisected to 1/64 of it; a foot that is 5 mm off is there.
+    assert found == pytest.approx(0.7 - REACH, abs=highest / 64 + 6e-3)
+    q[0] = 0.5 - 0.44
+    assert height_above_legs(m, q, jump.x0[:3], feet, m.joint_range, 0.06) == 0.0
+
+
+def test_a_jump_falls_freely_between_a_push_and_a_landing(jump):
+    m, dt, N = jump.dynamics.mechanism, 0.01, 120
+    feet = standing_feet(m, jump.x0[:3])
+    q = np.tile(jump.x0[:3], (N + 1, 1))
+    apex = 0.7 - 0.44
+    q[:, 0] += (apex - q[0, 0]) * np.sin(np.pi * np.linspace(0.0, 1.0, N + 1)) ** 2
+    places = np.tile(points_of_feet(m, q[:1], feet)[0], (N + 1, 1, 1))
+    flights = [(40, 80)]  # 0.4 s: 9.81 0.4^2 / 8 = 0.196 m
+    found = jumping(m, q, feet, places, flights, m.joint_range, dt)
+    assert found is not None
+    z = center_of_mass(m, found)[:, 2]
+    np.testing.assert_allclose(np.diff(z, 2)[41:78] / dt**2, -9.81, rtol=1e-6)
+    np.testing.assert_allclose(z[[0, -1]], center_of_mass(m, jump.x0[None, :3])[0, 2], atol=1e-3)
+    assert z.max() == pytest.approx(center_of_mass(m, q)[60, 2], abs=2e-3)
+    assert z[:40].min() < z[0] - 0.02  # it crouches
+    # No speed jumps at the take-off: over a knot it changes by less than 3 g dt.
+    assert np.abs(np.diff(z, 2)).max() / dt < 3.0 * 9.81 * dt
+    on_ground = [*range(41), *range(80, N + 1)]
+    away = points_of_feet(m, found[on_ground], feet)[0] - places[on_ground]
+    assert np.linalg.norm(away, axis=2).max() < 6e-3
+    # A flight of a second is 1.2 m high: the motion is not, and stays as it is.
+    assert jumping(m, q, feet, places, [(10, 110)], m.joint_range, dt) is None
+
+
+def test_phases_are_those_of_a_parabola_to_the_goal(tmp_path, jump):
+    seen = []
+
+    def kept(*arguments):
+        seen.append(phases_of_jumps(*arguments))
+        return seen[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("planner.cases.problem_file.tasks.phases_of_jumps", kept)
+        problem_of(tmp_path, THROUGH + GOAL)
+    first, flight, last = seen[0]
+    assert first["stand"] == last["stand"] == ["shank"]
+    assert flight["stand"] == []
+    assert first["until"] + flight["until"] == pytest.approx(2 * 0.6)  # the goal's time is in the middle
+    # 9.81 T^2 / 8 above the straight leg, and a twentieth of the height of the centre of mass (0.35 to 0.45 m) more.
+    T = flight["until"] - first["until"]
+    assert 0.7 - REACH + 0.01 < 9.81 * T**2 / 8 < 0.7 - REACH + 0.04
+    assert len(gait_of(seen[0]).phases) == 3
+
+
+def test_a_leg_of_two_hinges_jumps(jump):
+    """From a guess that holds it the solve stays at 0.56 m and fails; a leg that reaches 0.53 m flies to 0.7 m."""
+    plan = planner.solve(jump)
+    assert plan.converged
+    assert plan.total_iterations < 150  # 50 of them
+    z = 0.44 + plan.xs[:, 0]
+    assert z[60] == pytest.approx(0.7, abs=5e-3)
+    depths = contact_forces(jump.dynamics.mechanism, plan.xs[:, :3], plan.xs[:, 3:]).depths.max(axis=1)
+    assert np.count_nonzero(depths < 0.0) * jump.dynamics.dt > 0.2  # s, in the air
+
+
+def test_who_says_how_to_begin_gets_it(tmp_path):
+    held = problem_of(tmp_path, 'guess = "hold"\n' + THROUGH + GOAL)
+    assert held.us is not None
+    assert np.ptp(held.us, axis=0).max() == 0.0
