@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import importlib
 import os
 import signal
@@ -41,7 +42,11 @@ def command(words: list[str]) -> int:
 
 def _function(name: str) -> Callable[[argparse.Namespace, Console], int]:
     file, function = parser.COMMANDS[name][0].split(".")
-    return getattr(importlib.import_module(f"planner.cli.{file}"), function)
+    found = getattr(importlib.import_module(f"planner.cli.{file}"), function)
+    if not gc.isenabled():  # by __main__
+        gc.freeze()
+        gc.enable()
+    return found
 
 
 def _run(words: list[str], console: Console) -> int:

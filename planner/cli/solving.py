@@ -8,28 +8,28 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from planner import cases
 from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
-from planner.cases.problem_file import ProblemFile, case_in, load
+from planner.cases.problem_file import ProblemFile
 from planner.cli.checking import durations_of, objective_of
 from planner.cli.console import Console
 from planner.cli.flags import PROBLEM_FILE
-from planner.kernels.numba.jit import is_warm
-from planner.kernels.precompile import KERNELS, SECOND_ORDER, compile_these, compile_together
 from planner.problem.archive import plan_name
 from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem_parts import checked_durations, durations_or_default
-from planner.proof.diagnostics import SuggestedFix, suggested_fixes
 from planner.solvers.options import MAX_STARTS
 from planner.solvers.slq import solve
 from planner.solvers.work import WorkBudget
 from planner.sweeps.executors import executor_of
+
+if TYPE_CHECKING:
+    from planner.proof.diagnostics import SuggestedFix
 
 INTERRUPTED = 130  # exit code
 
@@ -37,11 +37,15 @@ INTERRUPTED = 130  # exit code
 def asked_problem(arguments: argparse.Namespace) -> ProblemFile:
     """The problem of a case or a file, its number of starts, objective and durations."""
     objective, durations = objective_of(arguments.objective), durations_of(arguments.durations)
-    named = case_in(arguments.problem) if arguments.case == PROBLEM_FILE else None
-    if arguments.case == PROBLEM_FILE and named is None:
-        given = {"starts": arguments.starts, "seed": arguments.seed, "package_path": absolute(arguments.package_path)}
-        file = load(arguments.problem, **given, objective=objective, durations=durations)
-        return _with_durations(file)
+    named = None
+    if arguments.case == PROBLEM_FILE:
+        from planner.cases.problem_file import case_in, load  # local: a case needs none of it
+
+        named = case_in(arguments.problem)
+        if named is None:
+            words = {name: getattr(arguments, name) for name in ("starts", "seed")}
+            words["package_path"] = absolute(arguments.package_path)
+            return _with_durations(load(arguments.problem, **words, objective=objective, durations=durations))
     case, given, starts, seed = named or (arguments.case, flags_of_case(arguments), 1, 0)
     starts = starts if arguments.starts is None else count("starts", arguments.starts, maximum=MAX_STARTS)
     seed = seed if arguments.seed is None else arguments.seed
@@ -182,17 +186,20 @@ def solve_case(arguments: argparse.Namespace, console: Console) -> int:
         plan, seconds = solved(asked, arguments, console, executor)
         plan.save(unfinished)
     show_plan(plan, seconds, console)
-    show_fixes(suggested_fixes(plan), console)
+    done = plan.success and not plan.missed_goals
+    if not done:
+        from planner.proof.diagnostics import suggested_fixes  # local: they import all that replays and judges
+
+        show_fixes(suggested_fixes(plan), console)
     console.write_result(str(out))
-    facts = plan_facts(plan)
-    return console.finish(
-        "solve", 0 if plan.success and not plan.missed_goals else 1, plan=facts, solve_seconds=seconds, file=str(out)
-    )
+    return console.finish("solve", 0 if done else 1, plan=plan_facts(plan), solve_seconds=seconds, file=str(out))
 
 
 def warmup(arguments: argparse.Namespace, console: Console) -> int:
     """Compile the numerical core once; print the time only where something was compiled."""
-    from planner.proof.compare.model_parity import parity  # local, so that `solve` does not import what replays
+    from planner.kernels.numba.jit import is_warm  # local, like parity, so that `solve` imports what it needs
+    from planner.kernels.precompile import KERNELS, SECOND_ORDER, compile_these, compile_together
+    from planner.proof.compare.model_parity import parity
 
     names = [name for name in KERNELS if arguments.all or name not in SECOND_ORDER]
     cold = not all(is_warm(*KERNELS[name]) for name in names)

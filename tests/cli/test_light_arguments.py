@@ -163,12 +163,13 @@ def test_a_quaternion_of_three_numbers_is_told_its_order():
         planner.Goal(frame="hand", orientation=[0.0, 0.0, 1.0])
 
 
-def test_a_solve_imports_neither_pictures_nor_opengl(tmp_path):
-    """They were a fifth of its processor time; MuJoCo only reads the model."""
+def test_a_solve_imports_no_pictures_no_opengl_no_proof_and_no_problem_file(tmp_path):
+    """They were a third of its processor time; MuJoCo only reads the model."""
     code = (
         "import sys\nfrom planner.__main__ import main\ncode = main(['solve', 'two-link', '--quiet'])\n"
         "loaded = [m for m in sys.modules if m.split('.')[0] in ('OpenGL', 'PIL', 'matplotlib')]\n"
-        "print(code, [m for m in sys.modules if m.startswith(('planner.view.', 'planner.proof.repair'))], loaded)"
+        "unneeded = ('planner.view.', 'planner.proof.', 'planner.cases.problem_file.build')\n"
+        "print(code, [m for m in sys.modules if m.startswith(unneeded)], loaded)"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.stdout.splitlines()[-1] == "0 [] []", done.stderr

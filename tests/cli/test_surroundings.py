@@ -108,3 +108,23 @@ def test_who_waited_for_a_kernel_does_not_wait_for_the_rest(monkeypatch, tmp_pat
         cli_commands._compile_the_rest(console, began)
     (words,) = started
     assert words[-2:] == ["warmup", "--quiet"]
+
+
+ENDING = """
+import atexit, sys
+from planner.__main__ import main
+class Loud:
+    def __del__(self):
+        print("taken apart")
+loud = Loud()
+atexit.register(print, "at exit", end="")
+sys.argv = ["planner", "list", *sys.argv[1:]]
+sys.exit(main())
+"""
+
+
+def test_a_command_ends_without_taking_apart_what_was_imported():
+    """That takes a fifth of a short command; what is printed is there, and functions registered for the end run."""
+    for words, code, last in ([], 0, "at exit"), (["hoper"], 2, "at exit"):
+        done = subprocess.run([sys.executable, "-c", ENDING, *words], capture_output=True, text=True, timeout=60)
+        assert (done.returncode, done.stdout.splitlines()[-1]) == (code, last), done.stderr

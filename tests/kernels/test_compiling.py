@@ -51,6 +51,27 @@ def test_variants_are_kept_apart_and_found_again(kernel):
     assert len(list(jit.cache_directory().rglob("*.nbc"))) == 2
 
 
+def inner(x):
+    """A kernel that another one calls."""
+    return x + 1.0
+
+
+def test_a_kernel_from_disk_is_linked_into_another(monkeypatch, tmp_path):
+    """Its bitcode is read then, and not before."""
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
+    assert jit.jit(inner)(1.0) == 2.0
+    kept = jit.jit(inner)
+    assert kept(1.0) == 2.0
+    (loaded,) = kept.overloads.values()
+    assert loaded.library._shared_module is None
+
+    def outer(x):
+        return 3.0 * kept(x)
+
+    assert jit.jit(outer)(1.0) == 6.0
+    assert loaded.library._shared_module is not None
+
+
 def unknown_to_numba(x):
     """What cannot be compiled."""
     return eval(f"{x}")

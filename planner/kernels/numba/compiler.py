@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from llvmlite.binding import parse_assembly, parse_bitcode
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, CompileResult
 from numba.core.compiler_machinery import PassManager
@@ -43,6 +44,24 @@ njit: Any = numba.njit
 def _content(path: str) -> str:
     """Digest of a source file, wherever it lies and whenever it was written."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+class _LoadedLibrary(JITCodeLibrary):
+    """A kernel's library from a file. Its bitcode takes longer to read than its machine code: where it is needed."""
+
+    bitcode: bytes
+
+    def _get_module_for_linking(self) -> Any:
+        """What another kernel that calls this one links."""
+        if self._shared_module is None:
+            self._shared_module = parse_bitcode(self.bitcode)
+        return self._shared_module
+
+
+def _names_only(module: Any) -> bytes:
+    """Bitcode that defines what a module defines, by name alone: all that is asked of a module with machine code."""
+    defined = [one.name for one in (*module.functions, *module.global_variables) if not one.is_declaration]
+    return parse_assembly("\n".join(f'@"{name}" = global i8 0' for name in defined)).as_bitcode()
 
 
 class Cache:
@@ -85,13 +104,20 @@ class Cache:
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled kernel, loaded without all that Numba needs to compile; None where there is none."""
         kept = self._kept(sig, target_context)
-        return None if kept is None else CompileResult._rebuild(target_context, *pickle.loads(kept))
+        if kept is None:
+            return None
+        names, (name, kind, (code, bitcode)), *facts = pickle.loads(kept)
+        loaded = CompileResult._rebuild(target_context, (name, kind, (code, names)), *facts)
+        loaded.library.__class__ = _LoadedLibrary
+        loaded.library.bitcode, loaded.library._shared_module = bitcode, None
+        return loaded
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled kernel, if the disk has room for it."""
         if data.library.has_dynamic_globals:
             return
-        path, payload = self._path(sig, data.codegen), dumps(data._reduce())
+        names = _names_only(data.library._get_module_for_linking())
+        path, payload = self._path(sig, data.codegen), dumps((names, *data._reduce()))
         temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
         with contextlib.suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
