@@ -79,7 +79,7 @@ class ControlBounds:
 
     def clip(self, stages: Any, us: np.ndarray, xs: np.ndarray | None) -> np.ndarray:
         """Controls us (..., nu) clipped to the bounds at states xs (..., nx)."""
-        return np.clip(us, *self.at(stages, xs))
+        return us.clip(*self.at(stages, xs))
 
     def clamped(self, stages: Any, us: np.ndarray, xs: np.ndarray) -> np.ndarray:
         """Controls with the forces that the actuators' clamps leave of us (..., nu) at states xs (..., nx).

@@ -91,6 +91,9 @@ class Rollouts:
         spread = np.linspace(0, plan.N, min(plan.N, MAX_KNOTS) + 1).round().astype(int)
         self.knots = np.union1d(spread, stages_asked(self._problem))
         self._plan_xs = plan.between_knots(self.control_steps)
+        used = [np.flatnonzero(gains.any(axis=0)) for gains in plan.K]
+        # by stage the states that have gains, and these gains, (n, 1, nu)
+        self._gains = [(one, gains.T[one, None]) for one, gains in zip(used, plan.K, strict=True)]
         self.x_of = _affine(twin.to_x, twin.to_x_offset)  # simulator states (..., nw) as plan states (..., nx)
         self._scratch = mujoco.MjData(model)
         self._full = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -183,6 +186,7 @@ class Rollouts:
         K, nw = batch.start.shape
         n, commands = self.pieces(batch, mode)
         at = self.knots * self.control_steps * self.substeps  # the step before which each is stored
+        ends = np.searchsorted(at, np.arange(1, self.steps + n + 1, n)).tolist()  # those of a call, and of the next
         first = np.tile(self._row, (K, 1))
         first[:, 1 : 1 + nw] = batch.start
         row, sound, warm = first.copy(), np.ones(K, dtype=bool), np.zeros((K, self.nominal.model.nv))
@@ -191,22 +195,21 @@ class Rollouts:
         states = np.empty((K, n, len(self._row)))
         together = self._seconds(K * n) > _WORTH_THREADS
         pool, data = (self._pool, self._data) if together else (self._alone, self._data[:1])
-        with self.curves(batch, self._data):
-            for i in range(0, self.steps, n):
+        with self.curves(batch, self._data), np.errstate(all="ignore"):  # of a diverging one
+            for call, i in enumerate(range(0, self.steps, n)):
                 if time.monotonic() > deadline:
                     raise OutOfTime
                 if self.steps - i < n:
                     n = self.steps - i
                     states = np.empty((K, n, len(self._row)))
-                with np.errstate(all="ignore"):  # of a diverging one
-                    ctrl = commands(i, n, row[:, 1 : 1 + nw])
+                ctrl = commands(i, n, row[:, 1 : 1 + nw])
                 pool.rollout(
                     batch.models, data, row, ctrl, nstep=n, initial_warmstart=warm, state=states, skip_checks=True
                 )
                 row[:] = states[:, -1]
-                sound &= np.all(np.abs(row) < RUNAWAY, axis=1) & self.in_time(row[:, 0], i + n)
-                sound &= np.all(np.abs(ctrl) < RUNAWAY, axis=(1, 2))  # larger ones MuJoCo leaves out
-                here = slice(*np.searchsorted(at, [i + 1, i + n + 1]))
+                sound &= (np.abs(row) < RUNAWAY).all(axis=1) & self.in_time(row[:, 0], i + n)
+                sound &= (np.abs(ctrl) < RUNAWAY).all(axis=(1, 2))  # larger ones MuJoCo leaves out
+                here = slice(ends[call], ends[call + 1])
                 if here.start < here.stop:
                     xs[:, here] = self.x_of(states[:, at[here] - i - 1, 1 : 1 + nw])
                 if not sound.all():
@@ -232,10 +235,11 @@ class Rollouts:
             stage, x_ref = waits.stage, reference(self._problem.dynamics, plan.xs[waits.stage], since)
         # NumPy may take another sine for a single number than for several, with another last bit.
         dx = plan.space.difference(x if len(x) > 1 else np.repeat(x, 2, axis=0), x_ref)[: len(x)]
-        u, gains = np.tile(plan.us[stage], (len(w), 1)), plan.K[stage]
-        for column in np.flatnonzero(gains.any(axis=0)):
-            u += dx[:, column, None] * gains[:, column]
-        return plan.within_bounds(stage, u)
+        used, gains = self._gains[stage]
+        terms = np.empty((1 + len(used), len(w), plan.us.shape[1]))
+        terms[0] = plan.us[stage]
+        np.multiply(dx.T[used, :, None], gains, out=terms[1:])
+        return plan.within_bounds(stage, np.add.accumulate(terms)[-1])  # one by one: sum() may order them otherwise
 
     def _held(self, batch: RolloutBatch, i: int, n: int) -> np.ndarray:
         """The plan's controls over n steps, delayed and noisy."""
