@@ -101,28 +101,51 @@ def check_values(table: Mapping[str, Any], rules: Mapping[str, Mapping[str, Any]
 
     Args:
         table: Values by key.
-        rules: By key, `choices`: it is one of these words, or a table where `or_table` says so; else it is a number
-            with the bounds of number(), or of count() where it is `whole`. A `word` may stand in its place.
+        rules: By key, or by TABLE.KEY for a key of a table within, or of each of several; `kind`: it is of this one of
+            KINDS; `choices`: it is one of these words; else it is a number with the bounds of number(), or of count()
+            where it is `whole`. In place of a word or a number it may be of one of the types `others` (a number that
+            may stand in place of a word has its bounds), and in place of a number a `word`.
+
+    Returns:
+        The values of the keys, without those of tables within.
 
     Raises:
         PlannerError: One of them is something else.
     """
+    found: dict[str, Any] = {}
+    for name, rule in rules.items():
+        part, _, key = name.rpartition(".")
+        if not part and name in table:
+            found[name] = _checked(name, table[name], **rule)
+        given = table.get(part)
+        for k, one in enumerate(given if isinstance(given, list) else [given], 1):
+            if isinstance(one, Mapping) and key in one:
+                _checked(f"{key} of {part}" if one is given else f"[[{part}]] {k}'s {key}", one[key], **rule)
+    return found
 
-    def checked(
-        name: str, word: str = "", whole: bool = False, choices: Collection[str] = (), or_table: bool = False,
-        **bounds: Any,
-    ) -> Any:  # fmt: skip
-        value = table[name]
-        if choices:
-            return value if or_table and isinstance(value, Mapping) else choice(name, value, choices)
-        if isinstance(value, str) and value == word:
-            return value
-        try:
-            return (count if whole else number)(name, value, **bounds)
-        except PlannerError as error:
-            raise PlannerError(f"{str(error).rstrip('.')}{f', or {word!r}' if word else ''}.") from None
 
-    return {name: checked(name, **rule) for name, rule in rules.items() if name in table}
+KINDS = {"a text": str, "true or false": bool, "a table": Mapping}
+
+
+def _checked(
+    name: str, value: Any, kind: str = "", choices: Collection[str] = (), others: tuple[type, ...] = (),
+    word: str = "", whole: bool = False, **bounds: Any,
+) -> Any:  # fmt: skip
+    """A value by the rule of its key."""
+    if kind:
+        if not isinstance(value, KINDS[kind]):
+            raise PlannerError(f"{name} is {short_repr(value)}, expected {kind}.")
+        return value
+    if isinstance(value, others) and not isinstance(value, (bool, float, int)):
+        return value
+    if choices and not (float in others and isinstance(value, (float, int))):
+        return choice(name, value, choices)
+    if isinstance(value, str) and value == word:
+        return value
+    try:
+        return (count if whole else number)(name, value, **bounds)
+    except PlannerError as error:
+        raise PlannerError(f"{str(error).rstrip('.')}{f', or {word!r}' if word else ''}.") from None
 
 
 def check_file(

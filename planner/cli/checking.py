@@ -1,7 +1,7 @@
 """What is wrong with the input of a command, as far as it can be said before slow imports and without a model.
 
 Files that are not there, keys and values of a problem file, objective and durations. What needs the model's names
-(joints, frames, limits by joint, constraints) and the parameters of a case are checked where the problem is built.
+(joints, frames, limits by joint) and the parameters of a case are checked where the problem is built.
 """
 
 from __future__ import annotations

@@ -47,6 +47,15 @@ WRONG = [
     (["solve", "goal.toml"], "goal 2: position of a goal has shape (2,), expected (3,)."),
     (["solve", "obstacle.toml"], "shape of an obstacle is 'bx'"),
     (["solve", "soft.toml"], "tolerance is -1, expected a number above 0"),
+    (["run", "title.toml"], "title is 3, expected a text."),
+    (["run", "apart.toml"], "clearance of avoid is -0.01, expected a finite number greater than 0."),
+    (["run", "self.toml"], "self of avoid is 'no', expected true or false."),
+    (["run", "avoided.toml"], "avoid is True, expected a table."),
+    (["run", "limits.toml"], "limits is 'of', expected one of: off. Did you mean 'off'?"),
+    (["run", "torque.toml"], "control of limits is -3, expected a finite number greater than 0."),
+    (["run", "speed.toml"], "velocity of limits is 'modl', expected one of: model, off. Did you mean 'model'?"),
+    (["run", "within.toml"], "[[constraint]] 2's within is 'narrow', expected a finite number greater than 0."),
+    (["run", "along.toml"], "[[constraint]] 1's along is 'up', expected one of: x, y, z."),
     (["solve", "right.toml", "--objective", "tme"], "Did you mean 'time'?"),
     (["solve", "right.toml", "--starts", "0"], "--starts: '0' is not a whole number of at least 1"),
     (["run", "acrobot", "--objective", "time", "--durations", "1"], "--durations is '1', expected SHORTEST,LONGEST"),
@@ -67,6 +76,16 @@ FILES = {
     "goal": f"{RIGHT}[[goal]]\nframe = 'hand'\nposition = [0, 0, 1]\n[[goal]]\nframe = 'hand'\nposition = [0, 0]\n",
     "obstacle": f"{RIGHT}[[obstacle]]\nshape = 'bx'\n",
     "soft": f"{RIGHT}tolerance = -1\n",
+    "title": f"{RIGHT}title = 3\n",
+    "apart": f"{RIGHT}[avoid]\nclearance = -0.01\n",
+    "self": f"{RIGHT}[avoid]\nself = 'no'\n",
+    "avoided": f"{RIGHT}avoid = true\n",
+    "limits": f"{RIGHT}limits = 'of'\n",
+    "torque": f"{RIGHT}[limits]\ncontrol = -3\n",
+    "speed": f"{RIGHT}[limits]\nvelocity = 'modl'\n",
+    "within": f"{RIGHT}[[constraint]]\nframe = 'hand'\nposition = [0, 0, 1]\n"
+    "[[constraint]]\nframe = 'hand'\npointing = 'z'\nwithin = 'narrow'\n",
+    "along": f"{RIGHT}[[constraint]]\nframe = 'hand'\nalong = 'up'\nlower = 0.1\n",
 }
 EACH = """
 import contextlib, io, json, sys

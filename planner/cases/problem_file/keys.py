@@ -191,13 +191,26 @@ TABLES = {
     "weights": WEIGHTS, "limits": LIMITS, "avoid": AVOID, "goal": GOAL, "follow": FOLLOW, "attach": ATTACH,
     "obstacle": OBSTACLE, "phase": PHASE, "constraint": CONSTRAINT,
 }  # fmt: skip
+_TABLE, _AXIS = (dict,), {"choices": ("x", "y", "z"), "others": (list,)}
 VALUES: dict[str, dict[str, Any]] = {
     "dt": {"word": "auto", "greater_than": 0.0}, "substeps": {"word": "auto", "whole": True, "maximum": MAX_SUBSTEPS},
     "starts": {"whole": True, "maximum": MAX_STARTS}, "seed": {"whole": True, "minimum": 0},
-    "work": {"greater_than": 0.0}, "guess": {"choices": GUESSES}, "contacts": {"choices": MODES, "or_table": True},
-    "integrator": {"choices": ("auto", *KNOWN_INTEGRATORS)}, "gait": {"choices": tuple(TURNS), "or_table": True},
+    "work": {"greater_than": 0.0}, "guess": {"choices": GUESSES}, "contacts": {"choices": MODES, "others": _TABLE},
+    "integrator": {"choices": ("auto", *KNOWN_INTEGRATORS)}, "gait": {"choices": tuple(TURNS), "others": _TABLE},
+    "title": {"kind": "a text"}, "avoid": {"kind": "a table"}, "avoid.self": {"kind": "true or false"},
+    "avoid.world": {"kind": "true or false"}, "avoid.clearance": {"greater_than": 0.0},
+    "limits": {"choices": ("off",), "others": _TABLE},
+    "limits.control": {"choices": ("model", "off"), "others": (dict, list, float), "greater_than": 0.0},
+    "limits.position": {"choices": ("model", "off"), "others": _TABLE},
+    "limits.velocity": {"choices": ("model", "off"), "others": (dict, list, float), "greater_than": 0.0},
+    "limits.margin": {"others": _TABLE, "minimum": 0.0}, "limits.final": {"choices": ("exact",), "others": (list,)},
+    "limits.tolerance": {"greater_than": 0.0}, "constraint.pointing": _AXIS, "constraint.along": _AXIS,
+    "constraint.axis": _AXIS, "constraint.within": {"greater_than": 0.0}, "constraint.lower": {},
+    "constraint.upper": {}, "constraint.when": {"choices": ("always", "end"), "others": (list,)},
+    "constraint.tolerance": {"greater_than": 0.0},
+    **{f"constraint.{name}": {"kind": "a text"} for name in ("frame", "power", "chain", "name")},
 }  # fmt: skip
-"""Of keys whose value is one of some words (or a table) or a number: those words, or the number's bounds."""
+"""Of keys whose value is a word, a number, a text or a table: which words, the number's bounds (see check_values)."""
 DEFAULTS: dict[str, Any] = {
     "dt": "auto", "integrator": "auto", "substeps": "auto", "guess": "auto", "contacts": "auto",
     "settle": "auto", "ignore": [], "starts": 1, "seed": 0, "title": "",

@@ -84,8 +84,6 @@ def checked_values(table: dict[str, Any]) -> tuple[dict[str, Any], int]:
     table = table | check_values(table, VALUES)
     table |= {"duration": float(table["duration"]), "dt": dt}
     table["tolerance"] = stored_tolerance(checked_tolerance(table.get("tolerance")))
-    if not isinstance(table["title"], str):
-        raise PlannerError(f"title is {short_repr(table['title'])}, expected a text.")
     if table.get("limits"):
         table["limits"] = Limits.from_dict(table["limits"]).to_dict()
     if "objective" in table:
