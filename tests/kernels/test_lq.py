@@ -293,6 +293,43 @@ def test_a_sweep_may_leave_out_the_zeros_of_outputs(nx, nu, outputs, seed, N, mu
         assert_close(w.K[:, :, w.first : w.first + nx], twin.K)
 
 
+@pytest.mark.parametrize(("nv", "nu"), [(1, 1), (2, 2), (3, 1), (4, 3), (5, 5), (7, 6)])
+@settings(max_examples=10, deadline=None)
+@given(seed=seeds, N=st.integers(1, 10), mu=st.sampled_from([0.0, 0.5]), dt=st.sampled_from([0.1, 1.0]))
+def test_a_sweep_with_rates_is_that_of_its_whole_rows(nv, nu, seed, N, mu, dt):
+    """x = (q, v, a, r): qd after the stage moves q, a is the stage's acceleration, r the change of a over dt."""
+    nx, q, v, a, r = 4 * nv, *(slice(k * nv, (k + 1) * nv) for k in range(4))
+    by_z, own, m = random_problem(seed, N, 2 * nv, nu)  # rows of v: what the acceleration depends on
+    m = random_problem(seed + 1, N, nx, nu)[2]
+    k = np.arange(3 * nv, nx)
+    alone = m.Q[:, k, k]
+    m.Q[:, k, :] = m.Q[:, :, k] = 0.0
+    m.Q[:, k, k] = alone
+    A, B, one = np.zeros((N, nx, nx)), np.zeros((N, nx, nu)), np.eye(nv)
+    A[:, a, : 2 * nv], B[:, a] = by_z[:, v], own[:, v]
+    A[:, v], B[:, v] = dt * A[:, a], dt * B[:, a]
+    A[:, v, v] += one
+    A[:, q], B[:, q] = dt * A[:, v], dt * B[:, v]
+    A[:, q, q] += one
+    A[:, r], B[:, r] = A[:, a] / dt, B[:, a] / dt
+    A[:, r, a] -= one / dt
+    twin = lq.riccati(A, B, m, mu)
+    weights = SimpleNamespace(Q=m.Q, R=m.R, x_ref=np.zeros((N + 1, nx)), u_ref=np.zeros((N, nu)))
+    w = Workspace(weights, euclidean(nx), structured=True, outputs=nv)
+    x = slice(w.first, w.first + nx)
+    w.F[:, :, :nu], w.F[:, :, x] = B[:, a], A[:, a]
+    w.l[:N, :nu], w.l[:, x] = m.r, m.q
+    for _ in range(2):  # nothing of the first may be left for the second
+        _, slope, definite = kernels.riccati_structured(w.table, mu, dt)
+        assert definite
+        assert slope == pytest.approx(twin.slope, rel=1e-8)
+        assert_close(w.gradient, lq.gradient(A, B, m), 10)
+        assert_close(w.k, twin.k, 8)
+        assert_close(w.K[:, :, x], twin.K, 8)
+    kernels.direction(w.table, dt)
+    assert_close(w.dus, lq.direction(A, B, twin)[1], 8)
+
+
 @pytest.mark.parametrize(("nx", "nu"), [(3, 1), (12, 3)])
 @settings(max_examples=10, deadline=None)
 @given(seed=seeds, N=st.integers(1, 10))

@@ -23,6 +23,7 @@ from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.riccati import advance, begin, factorize, gains, next_value
 from planner.kernels.lq.second_order import add_second
 from planner.kernels.lq.stage_hessian import dense_stage, structured_stage
+from planner.kernels.lq.stage_with_rates import stage_with_rates
 from planner.kernels.lq.state_dependent_bounds import (
     add_bound_costate,
     along_bounds,
@@ -151,7 +152,10 @@ def riccati_structured_bounded(w, mu, dt, chosen):
     for n in range(w[W.N] - 1, -1, -1):
         if w[W.has_defects]:
             add_defect(w, n)
-        structured_stage(w, n, dt)
+        if w[W.outputs] > 0:
+            stage_with_rates(w, n, dt)
+        else:
+            structured_stage(w, n, dt)
         norm2, part, definite = _finish_bounded(w, mu, n, chosen)
         total += norm2
         if not definite:

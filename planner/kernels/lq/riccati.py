@@ -14,6 +14,7 @@ from planner.kernels.lq.defects import add_defect, step_with_defect
 from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.second_order import add_second
 from planner.kernels.lq.stage_hessian import dense_stage, structured_stage
+from planner.kernels.lq.stage_with_rates import stage_with_rates
 from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4, pointer, spread, store, store4
@@ -239,7 +240,10 @@ def riccati_structured(w, mu, dt):
     for n in range(w[W.N] - 1, -1, -1):
         if w[W.has_defects]:
             add_defect(w, n)
-        structured_stage(w, n, dt)
+        if w[W.outputs] > 0:
+            stage_with_rates(w, n, dt)
+        else:
+            structured_stage(w, n, dt)
         norm2, part, definite = _finish(w, mu, n)
         total += norm2
         if not definite:
@@ -252,7 +256,7 @@ def riccati_structured(w, mu, dt):
 def advance(w, n, dt, du, dx, dx_next):
     """The linearized stage: dx_next = A dx + B du (Eq. 30)."""
     ndx, nu, width, first = w[W.ndx], w[W.nu], w[W.width], w[W.first]
-    nv = ndx // 2
+    nv = ndx // 2 - w[W.outputs]
     rows = nv if w[W.structured] else ndx
     F = at(floats(w, W.F), n * rows * width)
     for i in range(rows):
@@ -263,6 +267,10 @@ def advance(w, n, dt, du, dx, dx_next):
             total += load(F, i * width + first + j) * load(dx, j)
         store(dx_next, i, total)
     if w[W.structured]:
+        for i in range(w[W.outputs]):
+            a = 2 * nv + i
+            store(dx_next, a, load(dx_next, i))
+            store(dx_next, nv + a, (load(dx_next, i) - load(dx, a)) / dt)
         for i in range(nv):
             rate = load(dx, nv + i) + dt * load(dx_next, i)
             store(dx_next, nv + i, rate)

@@ -28,7 +28,7 @@ def costates(w, dt):
         for j in range(width):
             store(c, o + j, load(l, o + j))
         if structured:
-            times_E_vector(w, n, dt, later, carried)
+            times_E_vector(w, n, dt, nv, later, carried)
             for j in range(ndx):
                 store(c, o + first + j, load(c, o + first + j) + load(carried, j))
         for i in range(rows):

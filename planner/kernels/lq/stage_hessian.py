@@ -9,7 +9,8 @@ for rotations. With S = E' P E and D = dt da/dz,
 
     H = (0 | 1)' (S + S_xv D) + D' (S_vx + S_vv D),
 
-which contracts over nv rows instead of 2 nv. Only the upper triangle of H is formed; P and S are whole.
+which contracts over nv rows instead of 2 nv (stage_with_rates has more states). Only the upper triangle of H is formed;
+P and S are whole.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4
 
 
 @inline
-def _pull_back(w, n, F, rows, scale, first_row, stays):
+def pull_back(w, n, F, rows, scale, first_row, stays):
     """Gradient h and the costate, l + (s, if it stays) + scale F' s (Eq. 16), from s in their arrays' second rows."""
     width = w[W.width]
     h, c, l = floats(w, W.h), floats(w, W.costate), at(floats(w, W.l), n * width)
@@ -51,7 +52,7 @@ def dense_stage(w, n, dt):
     for j in range(first, width, WIDTH):
         store4(h, width + j, load4(h, j))
         store4(c, width + j, load4(c, j))
-    _pull_back(w, n, F, ndx, 1.0, first, False)
+    pull_back(w, n, F, ndx, 1.0, first, False)
     end = width if w[W.outputs] == 0 else first + ndx - w[W.outputs]  # the columns of outputs are zero
     for i in range(0, end, WIDTH):
         C = (M, i * width + i, width)
@@ -93,10 +94,9 @@ def _times_E_plain(M, p, ldp, S, o, ld, nv, dt):
 
 
 @inline
-def _times_E(w, n, dt):
+def times_E(w, n, dt, nv):
     """S = (0 | E' P E), columns in the order of z; returns the length of its rows."""
-    ndx, width, first = w[W.ndx], w[W.width], w[W.first]
-    nv = ndx // 2
+    ndx, width, first = 2 * nv, w[W.width], w[W.first]
     ld = first + (ndx + 2 * WIDTH - 1) // WIDTH * WIDTH
     M, S = floats(w, W.H), at(floats(w, W.S), first)  # the first columns stay zero
     balls, starts = w[W.quaternions], integers(w, W.quaternion_dx)
@@ -143,10 +143,9 @@ def _times_E(w, n, dt):
 
 
 @inline
-def times_E_vector(w, n, dt, s, t):
-    """E' s of a value gradient s (ndx), into t."""
-    ndx = w[W.ndx]
-    nv = ndx // 2
+def times_E_vector(w, n, dt, nv, s, t):
+    """E' s of a value gradient s (2 nv), into t."""
+    ndx = 2 * nv
     for j in range(0, nv, WIDTH):
         store4(t, j, load4(s, j))
     for j in range(0, nv, WIDTH):
@@ -170,10 +169,10 @@ def structured_stage(w, n, dt):
     nv = ndx // 2
     F, M, Y, S = at(floats(w, W.F), n * nv * width), floats(w, W.H), floats(w, W.G), floats(w, W.S)
     h, c = floats(w, W.h), floats(w, W.costate)
-    ld = _times_E(w, n, dt)
-    times_E_vector(w, n, dt, at(h, first), at(h, width + first))
-    times_E_vector(w, n, dt, at(c, first), at(c, width + first))
-    _pull_back(w, n, F, nv, dt, first + nv, True)
+    ld = times_E(w, n, dt, nv)
+    times_E_vector(w, n, dt, nv, at(h, first), at(h, width + first))
+    times_E_vector(w, n, dt, nv, at(c, first), at(c, width + first))
+    pull_back(w, n, F, nv, dt, first + nv, True)
     for i in range(0, ndx, WIDTH):  # Y = S (0 | 1) + S_xv D; of the position rows only what lies above
         j = 0 if i + WIDTH > nv else first + i
         A, base = (S, nv * ld + first + i, ld, 1), (S, i * ld + j, ld)

@@ -46,7 +46,8 @@ class Workspace:
             many those are.
         servos: A planner.problem.control_bounds.Servos, or None.
         outputs: How many of the last components of x only costs see: no later state depends on them, and a weight of
-            one is on no other. The sweep of a dense F leaves their zeros out.
+            one is on no other. The sweep of a dense F leaves their zeros out. A structured one has the rates of the
+            last accelerations, x = (q, v, a, r), whose rows are not in F (see kernels.lq.stage_hessian).
 
     Attributes:
         table: The argument of kernels.
@@ -97,7 +98,7 @@ class Workspace:
         for number, (i, j) in enumerate(quaternions):
             in_x[i : i + 4], in_dx[j : j + 3], ball[j : j + 3] = False, False, number
         stage, final, control = _terms(Q[:-1], ball), _terms(Q[-1:], ball), _terms(R, np.full(nu, -1))
-        states = ndx // 2 if structured else ndx
+        states = ndx // 2 - outputs if structured else ndx
         self.xs, self.us, self.K = np.zeros((N + 1, nx)), np.zeros((N, nu)), lane_array(N, nu, width)
         self.search = lane_array(GIVEN + 1, WIDTH)
         self.given = self.search[GIVEN]
@@ -125,7 +126,7 @@ class Workspace:
             "l": l, "F": F,
             "transport": self.transport, "K": self.K, "k": self.k,
             "dus": self.dus, "gradient": self.gradient, "H": lane_array(width * width + slack),
-            "G": lane_array(padded(ndx) * width + slack),
+            "G": lane_array((padded(ndx) + WIDTH) * width + slack),
             "S": lane_array((width + 2 * WIDTH) * (padded(ndx) + WIDTH) + slack),
             "h": lane_array(3 * width + slack),
             "costate": lane_array(3 * width + slack), "dx": np.zeros((3, ndx)),

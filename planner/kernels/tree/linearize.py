@@ -95,7 +95,7 @@ def _transport(m, r, x, a, dt, transport, first, count):
 @inline
 def _gathered(m, r, xs, us, first, count):
     """States, controls and the rollout's accelerations of four stages onto lanes."""
-    gather(doubles(xs), first, count, m[TREE.nq] + m[TREE.nv] + m[TREE.na], lanes(r, MEMORY.x))
+    gather(doubles(xs), first, count, xs.shape[1], lanes(r, MEMORY.x))
     gather(doubles(us), first, count, m[TREE.nu], lanes(r, MEMORY.u))
     gather(floats(r, MEMORY.accelerations), first, count, r[MEMORY.kept], lanes(r, MEMORY.a))
 
@@ -103,6 +103,8 @@ def _gathered(m, r, xs, us, first, count):
 @jit
 def linearize_structured(m, r, dt, xs, us, F, transport, external):
     """Rows da/dz of F (N, nv, width) along xs (N+1, nx), us (N, nu), and E's blocks of the balls.
+
+    States may have more components behind the machine's own; their columns of F are not written.
 
     The accelerations are those that a rollout, or `steps`, left in MEMORY.accelerations; so for linearize_dense.
     """
@@ -115,7 +117,7 @@ def linearize_structured(m, r, dt, xs, us, F, transport, external):
         _gathered(m, r, xs, us, first, count)
         acceleration_derivatives(m, r, x, at(x, m[TREE.nq]), at(x, m[TREE.nq] + nv), a, dA, external)
         for i in range(nv):
-            scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, width)
+            scatter_row(dA, i * columns, flat, first * stride + i * width, present, stride, columns - WIDTH)
         _transport(m, r, x, a, dt, blocks, first, present)
 
 

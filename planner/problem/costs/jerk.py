@@ -77,7 +77,7 @@ class JerkDynamics:
     It is compiled as the machine itself is (see planner.dynamics.ResidualDynamics).
     """
 
-    has_slopes, structured, second_order_kernels = False, False, ()
+    has_slopes, second_order_kernels = False, ()
 
     def __init__(self, dynamics: RigidBodyDynamics) -> None:
         self.own, self.mechanism, self.prescribed = dynamics, dynamics.mechanism, dynamics.prescribed
@@ -85,7 +85,7 @@ class JerkDynamics:
         self.space = augmented(dynamics.space, 2 * self.mechanism.nv)
         self.nx, self.ndx, self.nu, self.dt = self.space.nx, self.space.ndx, dynamics.nu, dynamics.dt
         self.batched = True
-        self.kernels = dynamics.dense_kernels
+        self.kernels, self.structured = dynamics.kernels, dynamics.structured
         # The line search and the residuals are the machine's own; see CompiledDynamics and ResidualDynamics.
         self.search, self.take, self.residuals = dynamics.search, dynamics.take, dynamics.residuals
         self.quadratize_nominal = dynamics.quadratize_nominal
@@ -108,9 +108,13 @@ class JerkDynamics:
 
     def linearize(self, ys: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (N, ndx, ndx) and B (N, ndx, nu) along ys (N+1, nx), us (N, nu), exact."""
-        xs, ndx = np.ascontiguousarray(ys[:, : self.own.nx]), self.own.ndx
-        A, B = np.zeros((len(us), self.ndx, self.ndx)), np.zeros((len(us), self.ndx, self.nu))
-        A[:, :ndx, :ndx], B[:, :ndx] = self.own.linearize(xs, us)
+        return self._lifted(*self.own.linearize(np.ascontiguousarray(ys[:, : self.own.nx]), us))
+
+    def _lifted(self, own_A: np.ndarray, own_B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A (N, ndx, ndx) and B (N, ndx, nu) from those of the machine itself."""
+        N, ndx = len(own_A), self.own.ndx
+        A, B = np.zeros((N, self.ndx, self.ndx)), np.zeros((N, self.ndx, self.nu))
+        A[:, :ndx, :ndx], B[:, :ndx] = own_A, own_B
         self._append_rows(B, A)
         return A, B
 
@@ -131,7 +135,10 @@ class JerkDynamics:
     def linearize_nominal(self, w: Workspace, memory: SolveMemory) -> None:
         """Fill w.F along w.xs, w.us."""
         own, by_x = self.own, slice(w.first, w.first + self.ndx)
-        B, A = own.linearize_dense(np.ascontiguousarray(w.xs[:, : own.nx]), w.us, memory)
+        if self.structured:
+            own.linearize_nominal(w, memory)
+            return
+        B, A = own.linearize_dense(w.xs, w.us, memory)
         w.F[:, : own.ndx, : self.nu], w.F[:, : own.ndx, by_x][:, :, : own.ndx] = B, A
         self._append_rows(w.F[:, :, : self.nu], w.F[:, :, by_x])
 
@@ -142,6 +149,8 @@ class JerkDynamics:
 
     def nominal_jacobians(self, w: Workspace) -> tuple[np.ndarray, np.ndarray]:
         """A (N, ndx, ndx) and B (N, ndx, nu) of Eq. 35, from the last linearize_nominal."""
+        if self.structured:
+            return self._lifted(*self.own.nominal_jacobians(w))
         return w.F[:, :, w.first : w.first + self.ndx], w.F[:, :, : self.nu]
 
     def residual_kernels(self, solids: bool | None) -> tuple[str, ...]:
