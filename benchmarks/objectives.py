@@ -19,7 +19,7 @@ import numpy as np
 import planner
 from planner.problem.objective import with_objective
 
-FEW, MORE, REPEATS, STAGES = 2, 8, 15, 200
+FEW, MORE, REPEATS, STAGES = 2, 8, 60, 200
 OBJECTIVES = {"effort": "effort", "energy": {"effort": 1.0, "energy": 0.1}, "jerk": "jerk"}
 
 

@@ -124,9 +124,14 @@ class SolveMemory(TreeMemory):
 
         Calls of one `kind` take as long as each other.
         """
-        trials = self._trials.setdefault(kind, Trials())
         middle = N // 2 + -(N // 2) % WIDTH
-        two = 0 < middle < N and getattr(_solving, "allowed", False) and trials.two_are_faster()
+        if not (0 < middle < N and getattr(_solving, "allowed", False)):
+            part(0, N)
+            return
+        trials = self._trials.get(kind)
+        if trials is None:
+            trials = self._trials[kind] = Trials()
+        two = trials.two_are_faster()
         began = time.perf_counter()
         other = _submitted(part, middle, N) if two else None
         if other is None:

@@ -55,8 +55,21 @@ def placement(m):
 
 
 @inline
+def turn(tree, i, q, ws):
+    """Sine and cosine of joint i to where `place` reads them: all joints first, as these wait for no other link."""
+    (_, kind, _, q_address), home = tree
+    if load(kind, i) != BALL and load(kind, i) != BALL_NEXT:
+        s, c = sincos(load(home, i * HOME_SIZE + 12) * load(q, load(q_address, i)))
+        store(ws, i * RECORD + ROTATION, s)
+        store(ws, i * RECORD + ROTATION + 1, c)
+
+
+@inline
 def place(tree, i, q, ws):
-    """Pose and screw of link i of a tree's `placement`, stored; returns rotation, position and the screw's halves."""
+    """Pose and screw of link i of a tree's `placement`, stored; returns rotation, position and the screw's halves.
+
+    It reads what `turn` has left in the link's record, and its parent's pose.
+    """
     (parent, kind, first, q_address), home = tree
     b, p, k, own = i * RECORD, load(parent, i), load(kind, i), i * HOME_SIZE
     pb = p * RECORD
@@ -82,13 +95,13 @@ def place(tree, i, q, ws):
             sv = cross(P, sw)
         else:
             x, z = load(q, a), (H0[2], H1[2], H2[2])
-            turn, shift = load(home, own + 12), load(home, own + 13)
-            s, c = sincos(turn * x)
+            turned, shift = load(home, own + 12), load(home, own + 13)
+            s, c = load(ws, b + ROTATION), load(ws, b + ROTATION + 1)
             R0 = (c * H0[0] + s * H0[1], c * H0[1] - s * H0[0], z[0])
             R1 = (c * H1[0] + s * H1[1], c * H1[1] - s * H1[0], z[1])
             R2 = (c * H2[0] + s * H2[1], c * H2[1] - s * H2[0], z[2])
             P = axpy(P, load(home, own + 14) * x, z)
-            sw = scaled(turn, z)
+            sw = scaled(turned, z)
             sv = axpy(cross(P, sw), shift, z)
     store3(ws, b, R0)
     store3(ws, b + 3, R1)
@@ -121,6 +134,8 @@ def place_all(m, q, ws):
     """Poses and screws of all links."""
     tree = placement(m)
     for i in range(m[TREE.nv]):
+        turn(tree, i, q, ws)
+    for i in range(m[TREE.nv]):
         place(tree, i, q, ws)
 
 
@@ -132,6 +147,8 @@ def move_links(m, q, v, ws):
     parent, base = integers(m, TREE.parent), integers(m, TREE.base)
     zero = spread(0.0)
     none = (zero, zero, zero)
+    for i in range(n):
+        turn(tree, i, q, ws)
     for i in range(n):
         R, P, sw, sv = place(tree, i, q, ws)
         b = i * RECORD
@@ -252,6 +269,8 @@ def inverse_dynamics(m, q, v, a, tau, ws):
     tree, inertia = placement(m), floats(m, TREE.inertia)
     parent, base = integers(m, TREE.parent), integers(m, TREE.base)
     armature, g = floats(m, TREE.armature), floats(m, TREE.base_acceleration)
+    for i in range(n):
+        turn(tree, i, q, ws)
     for i in range(n):
         R, P, sw, sv = place(tree, i, q, ws)
         b = i * RECORD

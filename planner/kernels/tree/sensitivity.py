@@ -35,7 +35,16 @@ from planner.kernels.algebra.spatial import (  # fmt: skip
 from planner.kernels.numba.jit import inline
 from planner.kernels.numba.lanes import floats, integers, load, spread, store
 from planner.kernels.tree.mechanism_table import BALL, BALL_NEXT, INERTIA_SIZE, TREE
-from planner.kernels.tree.recursion import ACCELERATION, RECORD, SCREW_AXIS, TWIST, moved_inertia, place, placement
+from planner.kernels.tree.recursion import (
+    ACCELERATION,
+    RECORD,
+    SCREW_AXIS,
+    TWIST,
+    moved_inertia,
+    place,
+    placement,
+    turn,
+)
 
 # Offsets in a link's record, beside those of kernels.tree
 Y, Z, YS, FIRST_MOMENT, SECOND_MOMENT, B_SYMMETRIC, MOMENTUM, FORCE = 30, 36, 42, 48, 51, 57, 63, 69
@@ -62,6 +71,8 @@ def inverse_dynamics_derivatives(m, q, v, a, ws, tau, D, ld):
     subtree = floats(m, TREE.subtree_mass)
     zero = spread(0.0)
     none = (zero, zero, zero)
+    for i in range(n):
+        turn(tree, i, q, ws)
     for i in range(n):
         R, P, sw, sv = place(tree, i, q, ws)
         b = i * RECORD

@@ -6,7 +6,7 @@ from planner.kernels.algebra.spatial import add, axpy, cross, load3, load9, rota
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import at, floats, integers, lanes, load, load4, spread
 from planner.kernels.tree.mechanism_table import TREE
-from planner.kernels.tree.recursion import PLACE, RECORD, TWIST, place, placement
+from planner.kernels.tree.recursion import PLACE, RECORD, TWIST, place, placement, turn
 from planner.kernels.tree.residuals.layout import PLACE_SIZE, POINT_SIZE, RESIDUALS
 
 
@@ -23,6 +23,7 @@ def place_links(m, p, x, ws):
     tree, parent, moved = placement(m), integers(m, TREE.parent), integers(p, RESIDUALS.links)
     for k in range(p[RESIDUALS.moved]):
         i = load(moved, k)
+        turn(tree, i, q, ws)
         _, _, sw, sv = place(tree, i, q, ws)
         if fast > 0:
             w, u, b = scaled(load(v, i), sw), scaled(load(v, i), sv), load(parent, i) * RECORD + TWIST
