@@ -18,6 +18,7 @@ from planner.kernels.numba.lanes import (
     load4,
     maximum,
     minimum,
+    neighbors,
     padded,
     pointer,
     select,
@@ -186,6 +187,17 @@ def test_lane_arrays_start_on_a_cache_line(shape):
     assert a.flags.c_contiguous
     assert a.ctypes.data % 64 == 0  # bytes of eight doubles
     assert not a.any()
+
+
+def test_neighbors_are_side_by_side_on_cache_lines():
+    """None lies over another, and gaps are less than a line: else their distance would be chance."""
+    counts = {"one": 5, "lines": 16, "none": 0, "last": 9}
+    arrays = neighbors(**counts)
+    assert {name: array.shape for name, array in arrays.items()} == {name: (n,) for name, n in counts.items()}
+    one, lines, last = (arrays[name].ctypes.data for name in ("one", "lines", "last"))
+    assert one % 64 == 0  # bytes of eight doubles
+    assert (lines - one, last - one) == (64, 64 + 128)
+    assert not any(array.any() for array in arrays.values())
 
 
 @given(st.integers(0, 1000))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from planner.kernels.numba.jit import inline
-from planner.kernels.numba.lanes import WIDTH, floats, lane_array, load, padded, store
+from planner.kernels.numba.lanes import WIDTH, floats, lane_array, load, neighbors, padded, store
 from planner.kernels.numba.layout import Layout
 
 # Outcomes of one iteration
@@ -125,11 +125,11 @@ class Workspace:
             "error": np.zeros(max(nu, ndx)), "turn": np.zeros(((N + 1), len(quaternions), 9)),
             "l": l, "F": F,
             "transport": self.transport, "K": self.K, "k": self.k,
-            "dus": self.dus, "gradient": self.gradient, "H": lane_array(width * width + slack),
-            "G": lane_array((padded(ndx) + WIDTH) * width + slack),
-            "S": lane_array((width + 2 * WIDTH) * (padded(ndx) + WIDTH) + slack),
-            "h": lane_array(3 * width + slack),
-            "costate": lane_array(3 * width + slack), "dx": np.zeros((3, ndx)),
+            "dus": self.dus, "gradient": self.gradient, "dx": np.zeros((3, ndx)),
+            **neighbors(
+                H=width * width + slack, G=(padded(ndx) + WIDTH) * width + slack,
+                S=(width + 2 * WIDTH) * (padded(ndx) + WIDTH) + slack, h=3 * width + slack, costate=3 * width + slack,
+            ),
             "trial_x": lane_array((N + 1) * nx, WIDTH),
             "trial_u": lane_array(N * nu, WIDTH), "deviations": lane_array(2 * ndx + nu + 8, WIDTH),
             "lower": self.lower, "upper": self.upper, "box": np.zeros(nu * (nu + 6)),

@@ -62,6 +62,17 @@ def lane_array(*shape: int) -> np.ndarray:
     return buffer[start : start + count].reshape(shape)
 
 
+def neighbors(**counts: int) -> dict[str, np.ndarray]:
+    """Zero float64 arrays of so many entries, by name, that lie one behind the other, each from a cache line on.
+
+    A processor takes addresses with the same last 12 bits for one at first, and waits: small arrays that are written
+    and read in turn are faster side by side than wherever chance puts them.
+    """
+    starts = np.cumsum([0, *(-(-count // _LINE) * _LINE for count in counts.values())])
+    block = lane_array(int(starts[-1]))
+    return {name: block[start : start + counts[name]] for name, start in zip(counts, starts[:-1], strict=True)}
+
+
 class LaneType(types.Type):
     """Four doubles."""
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from planner.kernels.integrators import MAX_STAGES, ROSENBROCK, Integrator
-from planner.kernels.numba.lanes import WIDTH, lane_array, padded
+from planner.kernels.numba.lanes import WIDTH, lane_array, neighbors, padded
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.recursion import RECORD
 from planner.kernels.tree.soft_contact import SOFT_MEMORY
@@ -55,7 +55,10 @@ class TreeMemory:
             "loop_least": 3 if rows else 0, "loop_D": rows * loop_width, "loop_Y": rows * ld,
             "by_stage": n * columns, "turns": (MAX_STAGES + 1) * 18 * len(model.arrays["ball_v"]),
         }  # fmt: skip
-        self._arrays = {name: lane_array(count + 1, WIDTH) for name, count in lanes.items()}
+        trial_a = lanes.pop("trial_a")  # the only large one
+        flat = neighbors(**{name: WIDTH * (count + 1) for name, count in lanes.items()})
+        self._arrays = {name: array.reshape(-1, WIDTH) for name, array in flat.items()}
+        self._arrays["trial_a"] = lane_array(trial_a + 1, WIDTH)
         self._arrays["accelerations"] = np.zeros(N * kept + 1)
         self._arrays["Xa"] = np.zeros(4 * na + 1)
         blocks = block if linearizing else 0
