@@ -12,7 +12,8 @@ continue.
 The first round has no penalties, and is the only one if its result has no violation. The second takes its weights from
 the result of the first, as ALGENCAN does (Birgin and Martinez 2014): the penalties then cost about as much as J, those
 of state bounds more. Only clearances have penalties from the beginning, since a trajectory through an obstacle is a
-local minimum.
+local minimum. They begin softer, as a penalty method (N&W 17.1): along stiff ones a step moves the knot at which a
+motion touches an obstacle by one stage or so, while soft ones act on many knots.
 
 Rounds whose violation far exceeds the tolerance end before their minimum (inexact augmented Lagrangian; Bertsekas 1982,
 section 2.5): the error of the states is then small against the violation that the round is to reach. So does the first.
@@ -28,6 +29,9 @@ import numpy as np
 from planner.problem.constraints.trajectory_constraints import BoundPenalties, TrajectoryConstraints
 from planner.problem.plan import Iteration, Plan, Status
 from planner.solvers.options import DEFAULT, SolverOptions
+
+SOFTER = (0.03, 0.2)  # of the first penalties of clearances: shares with which the first round begins
+SOFTER_TOLERANCE = 1e-4  # expected reduction, of the cost, below which a solve with a share ends
 
 # One solve from first controls (N, nu) with penalties: an iteration limit, the number of the first line, and its
 # inexact_tolerance (see solvers.slq).
@@ -114,7 +118,7 @@ def _first_round(
     """The first solve, its iterations, and its penalties, or None.
 
     Penalties of clearances are scaled by the cost of the first guess if that exceeds 1: else a path through an obstacle
-    may cost less than one around it.
+    may cost less than one around it. They grow to that from the shares of SOFTER.
     """
     first = constraints.initial_penalties()
     if first is None:
@@ -125,11 +129,17 @@ def _first_round(
             plan = minimize(plan.us, None, max_iterations + 1 - len(history), first_line + len(history), 0.0)
             history += plan.history
         return plan, history, None
-    cost = minimize(first_guess, None, 0, first_line, 0.0).cost
+    cost, us, history = minimize(first_guess, None, 0, first_line, 0.0).cost, first_guess, list[Iteration]()
     if 1.0 < cost < options.max_scaling_cost:
         first = first._replace(weight=cost * first.weight)
-    plan = minimize(first_guess, first, max_iterations, first_line, 0.0)
-    return plan, list(plan.history), first
+    for share, tolerance in (*((share, SOFTER_TOLERANCE) for share in SOFTER), (1.0, 0.0)):
+        most = max_iterations + bool(history) - len(history)
+        soft = first._replace(weight=share * first.weight)
+        plan = minimize(us, soft, most, first_line + len(history), tolerance)
+        us, history = plan.us, history + list(plan.history)
+        if plan.status in (Status.NOT_FINITE, Status.INTERRUPTED) or len(history) > max_iterations:
+            break
+    return plan, history, first
 
 
 def _inexact_reduction(penalties: BoundPenalties, error: np.ndarray, options: SolverOptions) -> float:

@@ -10,6 +10,7 @@ import pytest
 from planner import Constraint, FunctionDynamics, Limits, Problem, Status, TrackingCost, load_problem, solve
 from planner.cases import two_link
 from planner.solvers import augmented_lagrangian
+from planner.solvers.engine import acquire_engine
 from planner.solvers.options import SolverOptions
 from planner.solvers.step_control import Regularization
 
@@ -97,3 +98,24 @@ def test_short_steps_far_from_the_end_of_a_round_are_regularized():
     assert plan.success
     assert plan.nit < 400
     assert max(line.regularization for line in plan.history[:12]) > 0.0
+
+
+TASKS = Path(__file__).parents[2] / "examples" / "tasks"
+
+
+def test_ways_around_obstacles_begin_with_softer_penalties():
+    """39 iterations with stiff ones and Hessians of Gauss and Newton, 18 with softer ones and curvature."""
+    assert solve(load_problem(TASKS / "around_a_post.toml")).nit <= 28
+
+
+def test_a_sweep_that_curvature_makes_indefinite_is_done_without():
+    problem = load_problem(TASKS / "around_a_post.toml")
+    engine, constraints = acquire_engine(problem), problem.trajectory_constraints
+    penalties = constraints.initial_penalties()
+    penalties.lower[:, constraints.split :] += 0.2 * constraints.rows.scale  # 0.2 m: multipliers are large
+    engine.set_penalties(penalties)
+    engine.start_from_controls(problem.x0, problem.first_guess)
+    direction = engine.compute_direction(0.0, True)
+    assert np.abs(engine.residuals.bends).max() > 0.0
+    assert direction.definite
+    assert direction == engine.compute_direction(0.0, False, active_set=False)  # that of Gauss and Newton

@@ -4,7 +4,8 @@ Kernels roll candidates out and sum the compiled costs. NumPy adds the other ter
 search, and along the trajectory gradients to l and Hessians, with their mixed blocks, to T of the sweep.
 
 Constraints of compiled terms are residuals: each bound is a row of their table, whose bounds and weights the
-multipliers change. Other constraints, as user-defined functions or power, are terms in NumPy.
+multipliers change. A direction adds the curvature of clearances to the Hessians of Gauss and Newton, unless a sweep
+with it is not definite. Other constraints, as user-defined functions or power, are terms in NumPy.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ import numpy as np
 
 from planner.kernels.lq import line_search
 from planner.kernels.lq.workspace import ALPHA, COSTS, SLOPES
+from planner.problem.constraints.clearance import PairClearanceFunction
 from planner.problem.constraints.quantities import KernelResidual, penalty_arrays
 from planner.problem.constraints.trajectory_constraints import BoundPenalties, TrajectoryConstraints
 from planner.problem.costs.residual_arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, Quadratic, SumCost
 from planner.problem.problem import Problem
 from planner.solvers.engine.compiled import CompiledEngine
-from planner.solvers.engine.protocol import check_quadratic
+from planner.solvers.engine.protocol import Direction, check_quadratic
 
 
 class HybridEngine(CompiledEngine):
@@ -181,6 +183,7 @@ class ConstrainedEngine(HybridEngine):
         rows = constraints.rows
         compiled = [part for part in rows.parts if isinstance(part.function, KernelResidual)]
         terms, self._bounds_of = [] if residuals is None else [residuals], list[_Bounds]()
+        curved = list[slice]()
         first = sum(len(part.weight) for part in terms)
         for part in compiled:
             function: Any = part.function  # a KernelResidual
@@ -192,12 +195,43 @@ class ConstrainedEngine(HybridEngine):
                 if used:
                     terms.append(penalty_arrays(function.arrays, np.full(R, side), rows.N))
                     self._bounds_of.append(_Bounds(slice(first, first + R), part.columns, side < 0.0))
+                    if isinstance(function, PairClearanceFunction):
+                        curved.append(slice(first, first + R))
                     first += R
         self._constraints, self._scale = constraints, rows.scale
         others, self._columns = rows.subset([part for part in rows.parts if part not in compiled])
         self._others = TrajectoryConstraints(None, others, constraints.tolerance) if others.parts else None
         super().__init__(problem, dynamics, cost, joined(terms) if terms else None, own)
         self._adds = self._adds or self._others is not None
+        for rows_ in curved:
+            self.residuals.bend(rows_)
+
+    def compute_direction(self, mu: float, relinearize: bool, active_set: bool = True) -> Direction:
+        """As Engine, with the curvature of clearances where the sweep with it is definite.
+
+        A sweep without a search for the active set, as for the gains of a plan, is that of Gauss and Newton.
+        """
+        if self.residuals is None or not len(self.residuals.bends):
+            return super().compute_direction(mu, relinearize, active_set)
+        if relinearize:
+            self._linearize(self._exact)
+        if active_set:
+            self._use_curvature(True)
+            direction = super().compute_direction(mu, False)
+            if direction.definite:
+                return direction
+        self._use_curvature(False)
+        return super().compute_direction(mu, False, active_set)
+
+    def _linearize(self, second: bool) -> None:
+        super()._linearize(second)
+        self._curved = False
+
+    def _use_curvature(self, curved: bool) -> None:
+        """Whether the Hessians have the curvature of clearances."""
+        if curved != self._curved:
+            self.residuals.hessian += self.residuals.bends if curved else -self.residuals.bends
+            self._curved = curved
 
     def set_penalties(self, penalties: BoundPenalties | None) -> None:
         """Add penalties to the cost from the next start on; None for none."""
@@ -205,6 +239,7 @@ class ConstrainedEngine(HybridEngine):
         super().set_penalties(
             None if penalties is None or constraints.ranges is None else constraints.of_ranges(penalties)
         )
+        self._curved = False
         if self._bounds_of:
             of_rows = None if penalties is None else constraints.of_rows(penalties)
             for rows, columns, lower in self._bounds_of:

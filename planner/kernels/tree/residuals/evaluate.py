@@ -5,6 +5,8 @@ The twin is problem.costs.least_squares. With the value e of a row, its bound b 
     1/2 w r^2,    r = e - b for a target, ramp(e - b) for at most b, ramp(b - e) for at least b,
 
 the gradient w r r' J and the Hessian of Gauss and Newton w r'^2 J'J, J the derivative of e and r' the slope of r by e.
+Distances whose curvature a solve uses have that, w r r' times their second derivatives, apart in RESIDUALS.bends (see
+curvature).
 A tilt adds w r r' times its own second derivative across (see frames) where that is positive, as a row without a value.
 """
 
@@ -30,6 +32,7 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.linearize import scatter_row
 from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.residuals.curvature import add_distance_curvature
 from planner.kernels.tree.residuals.frames import TILT, TILT_BEND
 from planner.kernels.tree.residuals.kinds import differentiate, measure
 from planner.kernels.tree.residuals.layout import LAW_SIZE, MAX_ROWS, RESIDUALS
@@ -103,8 +106,8 @@ def _add_term(p, t, rows):
 
 
 @inline
-def _scatter(w, p, first, present):
-    """Gradients of up to four stages onto W.l, Hessians into W.residual_hessian."""
+def _scatter(w, p, first, present, solids):
+    """Gradients of up to four stages onto W.l, Hessians into W.residual_hessian, what bends into RESIDUALS.bends."""
     columns, ld, width = p[RESIDUALS.columns], p[RESIDUALS.ld], w[W.width]
     l, H = at(floats(w, W.l), w[W.first]), floats(w, W.residual_hessian)
     g = as_floats(lanes(p, RESIDUALS.gradient))
@@ -118,6 +121,12 @@ def _scatter(w, p, first, present):
             at(lanes(p, RESIDUALS.hessian), upper), i * ld, at(H, upper), first * columns * ld + i * ld, present,
             columns * ld, ld - upper,
         )  # fmt: skip
+        if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
+            if p[RESIDUALS.bending] > 0:
+                scatter_row(
+                at(lanes(p, RESIDUALS.bend), upper), i * ld, at(floats(p, RESIDUALS.bends), upper),
+                first * columns * ld + i * ld, present, columns * ld, ld - upper,
+            )  # fmt: skip
 
 
 @jit
@@ -141,6 +150,7 @@ def quadratize_residuals(w, m, r, p, solids):
             store(lanes(p, RESIDUALS.gradient), i, 0.0)
             for j in range(i // WIDTH * WIDTH, ld):
                 store(lanes(p, RESIDUALS.hessian), i * ld + j, 0.0)
+                store(lanes(p, RESIDUALS.bend), i * ld + j, 0.0)
         for t in range(p[RESIDUALS.terms]):
             if any_less(0.0, load4(on, t * stride + first)):
                 measure(m, p, x, ws, t, first, True, solids)
@@ -154,6 +164,9 @@ def quadratize_residuals(w, m, r, p, solids):
                     moved = moved or any_less(0.0, weight * slope * slope)
                 if moved:
                     differentiate(m, p, ws, t, solids)
+                    if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
+                        if load(integers(p, RESIDUALS.bent), t) > 0:
+                            add_distance_curvature(m, p, ws, t, load(lanes(p, RESIDUALS.factor), 0))
                     rows = end - start
                     if load(integers(p, RESIDUALS.kind), t) == TILT:
                         bend = load(lanes(p, RESIDUALS.factor), 0) * load(lanes(p, RESIDUALS.kept), TILT_BEND)
@@ -161,4 +174,4 @@ def quadratize_residuals(w, m, r, p, solids):
                         store(lanes(p, RESIDUALS.curvature), rows, select(bend, 0.0, spread(0.0), bend))
                         rows += 1
                     _add_term(p, t, rows)
-        _scatter(w, p, first, min(WIDTH, stages - first))
+        _scatter(w, p, first, min(WIDTH, stages - first), solids)

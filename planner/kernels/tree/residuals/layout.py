@@ -5,9 +5,10 @@ from __future__ import annotations
 from planner.kernels.numba.layout import Layout
 
 RESIDUALS = Layout(
-    "points terms stride constants columns ld moved fast massive",
+    "points terms stride constants columns ld moved fast massive bending",
     "links point_link point_address point_value world active kind ends first_row constant first_reference reference "
-    "on bound weight law start dof tree_address places value kept factor curvature row scaled moments gradient hessian",
+    "on bound weight law start dof tree_address places value kept factor curvature row scaled moments gradient hessian "
+    "side rates bent bend bends",
 )
 MAX_ROWS = 6  # of a term
 PARALLEL = 1e-12
@@ -16,4 +17,5 @@ TINY = 1e-40  # added to squares before their root or a division by them: a dist
 POINT_SIZE = 4  # of a point's constants: its place in the link's frame (3), share
 PLACE_SIZE = 9  # of a point where it is: about its tree's origin (3), as terms see it (3); how its link moves it (3)
 LAW_SIZE = 3  # of a row: side (0 for a target, 1 for most, -1 for least), ramp and its inverse
+RATE_SIZE = 9  # of a dof: how it turns a distance's direction, and how it changes its moment about either shape's tree
 KEPT_SIZE = 32  # lanes that a term's value leaves for its derivative

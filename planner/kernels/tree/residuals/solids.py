@@ -233,7 +233,7 @@ def _box_from_box(p, a, b):
 
 
 @inline
-def _axes(p, ws, t, k, offset):
+def axes_of(p, ws, t, k, offset):
     """Axes of solid k of a term in the world, by rows."""
     link, term = load(integers(p, RESIDUALS.point_link), point_of(p, t, k)), constants_of(p, t)
     zero, C = spread(0.0), load9(term, offset)
@@ -260,8 +260,8 @@ def solid_value(p, ws, t, kind, n, knots):
     if kind != OVER_PLANE:
         far = sqrt(dot(way, way)) - load(term, REACH)
         if any_less(far - off, asked):
-            bx, by, bz = _axes(p, ws, t, 1, SECOND_AXES)
-            ax, ay, az = _axes(p, ws, t, 0, FIRST_AXES)
+            bx, by, bz = axes_of(p, ws, t, 1, SECOND_AXES)
+            ax, ay, az = axes_of(p, ws, t, 0, FIRST_AXES)
             store3(kept, R_, (dot(bx, ax), dot(by, ax), dot(bz, ax)))
             store3(kept, R_ + 3, (dot(bx, ay), dot(by, ay), dot(bz, ay)))
             store3(kept, R_ + 6, (dot(bx, az), dot(by, az), dot(bz, az)))
@@ -284,10 +284,10 @@ def solid_value(p, ws, t, kind, n, knots):
             store3(kept, 0, _combined(normal, bx, by, bz))
             store3(kept, 3, add(load3(places, j), _combined(at, bx, by, bz)))
     else:
-        _, _, normal = _axes(p, ws, t, 1, SECOND_AXES)
+        _, _, normal = axes_of(p, ws, t, 1, SECOND_AXES)
         far = dot(normal, way) - load(term, REACH)
         if any_less(far - off, asked):
-            ax, ay, az = _axes(p, ws, t, 0, FIRST_AXES)
+            ax, ay, az = axes_of(p, ws, t, 0, FIRST_AXES)
             r = (a[0] * dot(ax, normal), a[1] * dot(ay, normal), a[2] * dot(az, normal))
             far = dot(normal, way) - (_size(r[0]) + _size(r[1]) + _size(r[2]))
             u = (0.0 - a[0] * _sign(r[0]), 0.0 - a[1] * _sign(r[1]), 0.0 - a[2] * _sign(r[2]))

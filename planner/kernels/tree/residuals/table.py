@@ -14,8 +14,8 @@ import numpy as np
 
 from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.tree.mechanism_table import chain_of
-from planner.kernels.tree.residuals.kinds import FAST, KINDS, MASS_CENTRE, SOLIDS
-from planner.kernels.tree.residuals.layout import KEPT_SIZE, MAX_ROWS, PLACE_SIZE, RESIDUALS
+from planner.kernels.tree.residuals.kinds import DISTANCE, FAST, KINDS, MASS_CENTRE, SOLIDS
+from planner.kernels.tree.residuals.layout import KEPT_SIZE, MAX_ROWS, PLACE_SIZE, RATE_SIZE, RESIDUALS
 from planner.kernels.tree.residuals.solids import FIRST_AXES, SECOND_AXES
 
 
@@ -29,6 +29,8 @@ class ResidualTable:
         weight: (M, N+1), likewise.
         columns: Of a row's derivative: nv, or 2 nv where velocities count.
         hessian: (N+1, columns, ld) upper triangles, as the last quadratization left them.
+        bends: (N+1, columns, ld) upper triangles of the second derivatives of the rows that `bend` names, weighted by
+            the gradient of the cost, which the Hessians do not have; empty for none.
         solids: True where some terms are of two solids, else None: the kernels then do without their code.
     """
 
@@ -62,6 +64,9 @@ class ResidualTable:
             "factor": lane_array(MAX_ROWS, WIDTH), "curvature": lane_array(MAX_ROWS, WIDTH),
             "scaled": lane_array(MAX_ROWS, WIDTH), "moments": lane_array(3 * nv if massive else 1, WIDTH),
             "gradient": lane_array(columns, WIDTH), "hessian": lane_array(columns * ld, WIDTH),
+            "side": np.array([side for t, of in enumerate(dofs) for side in _sides(m.kind[t], m.ends[t], chains, of)]),
+            "rates": lane_array(RATE_SIZE * nv, WIDTH), "bent": np.zeros(max(T, 1), dtype=np.int64),
+            "bend": lane_array(columns * ld, WIDTH), "bends": np.zeros(0),
         }  # fmt: skip
         # contiguous, and kept alive: the kernels have their addresses
         self._arrays = {name: np.ascontiguousarray(arrays[name]) for name in RESIDUALS.arrays}
@@ -69,13 +74,22 @@ class ResidualTable:
         self.solids = True if np.isin(m.kind, SOLIDS).any() else None
         self.bound, self.weight = (self._arrays[name][:, :stages] for name in ("bound", "weight"))
         self.active = self._arrays["active"]
-        self.hessian = lane_array(stages, columns, ld)
+        self.hessian, self.bends = lane_array(stages, columns, ld), np.zeros((0, columns, ld))
         sizes = {
             "points": len(link), "terms": T, "stride": stride, "constants": self._arrays["constant"].shape[1],
             "columns": columns, "ld": ld, "moved": len(arrays["links"]), "fast": fast.any(), "massive": massive,
+            "bending": 0,
         }  # fmt: skip
         self.table = RESIDUALS.table(sizes, self._arrays)
         self.changed()
+
+    def bend(self, rows: slice) -> None:
+        """Have `bends` of the terms of these rows, all of which are distances."""
+        bent = self._arrays["bent"]
+        bent[: len(self._first_row) - 1] |= (self._first_row[:-1] >= rows.start) & (self._first_row[:-1] < rows.stop)
+        if not len(self.bends):
+            self.bends, self.solids = lane_array(*self.hessian.shape), True  # their code is with that of solids
+            self.table[RESIDUALS.bends], self.table[RESIDUALS.bending] = self.bends.ctypes.data, 1
 
     def changed(self) -> None:
         """Note which terms weigh something at which stage, after weights have been changed."""
@@ -83,7 +97,7 @@ class ResidualTable:
         for t, row in enumerate(on):
             row[:stages] = np.any(self.weight[self._first_row[t] : self._first_row[t + 1]] > 0.0, axis=0)
         self.active[:] = np.any(on > 0.0, axis=0)
-        self.hessian[:] = 0.0  # what is no longer active must not stay
+        self.hessian[:] = self.bends[:] = 0.0  # what is no longer active must not stay
 
 
 def _own_points(model: Any, m: Any, link: np.ndarray, carried: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -127,6 +141,14 @@ def _dofs(kind: int, ends: np.ndarray, chains: list[list[int]], nv: int) -> list
         return list(range(nv))
     dofs = sorted(set().union(*(chains[p] for p in set(ends.tolist()))))
     return dofs + [nv + i for i in dofs] if kind in FAST else dofs
+
+
+def _sides(kind: int, ends: np.ndarray, chains: list[list[int]], dofs: list[int]) -> np.ndarray:
+    """Of a distance: 1 for dofs that move its first shape alone, -1 for those of the second; else zeros."""
+    if kind != DISTANCE and kind not in SOLIDS:
+        return np.zeros(len(dofs))
+    first, second = chains[ends[0]], chains[ends[2 if kind == DISTANCE else 1]]
+    return np.isin(dofs, first).astype(float) - np.isin(dofs, second)
 
 
 def _inverse(ramp: np.ndarray) -> np.ndarray:
