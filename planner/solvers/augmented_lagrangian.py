@@ -129,9 +129,9 @@ def _first_round(
             plan = minimize(plan.us, None, max_iterations + 1 - len(history), first_line + len(history), 0.0)
             history += plan.history
         return plan, history, None
-    cost, us, history = minimize(first_guess, None, 0, first_line, 0.0).cost, first_guess, list[Iteration]()
-    if 1.0 < cost < options.max_scaling_cost:
-        first = first._replace(weight=cost * first.weight)
+    plan, us, history = minimize(first_guess, None, 0, first_line, 0.0), first_guess, list[Iteration]()
+    if 1.0 < plan.cost < options.max_scaling_cost:
+        first = first._replace(weight=plan.cost * first.weight)
     for share, tolerance in (*((share, SOFTER_TOLERANCE) for share in SOFTER), (1.0, 0.0)):
         most = max_iterations + bool(history) - len(history)
         soft = first._replace(weight=share * first.weight)

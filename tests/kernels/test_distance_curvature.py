@@ -1,5 +1,7 @@
 """Second derivatives of distances in the compiled solver, against differences of its gradients."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from test_solid_terms import ARM, BALL, LINE, PAIRS, N, solid, states
@@ -28,7 +30,7 @@ def test_curvature_is_what_gauss_newton_leaves_out(name):
     penalty = PenaltyCost(dynamics, N, [Clearance(a=a, b=b, lift=0.003, lower=5.0, tolerance=0.1)])
     tracking = TrackingCost.joints(dynamics, machine.home, N, effort=1.0)
     problem, xs = Problem(dynamics, tracking + penalty, machine.home), states(machine, np.random.default_rng(3))
-    engine = acquire_engine(problem)
+    engine: Any = acquire_engine(problem)
     engine.residuals.bend(slice(0, 1))
     engine.start_from_controls(problem.x0, us)
     w = engine._w

@@ -3,6 +3,7 @@
 import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -110,7 +111,8 @@ def test_ways_around_obstacles_begin_with_softer_penalties():
 
 def test_a_sweep_that_curvature_makes_indefinite_is_done_without():
     problem = load_problem(TASKS / "around_a_post.toml")
-    engine, constraints = acquire_engine(problem), problem.trajectory_constraints
+    engine: Any = acquire_engine(problem)
+    constraints: Any = problem.trajectory_constraints
     penalties = constraints.initial_penalties()
     penalties.lower[:, constraints.split :] += 0.2 * constraints.rows.scale  # 0.2 m: multipliers are large
     engine.set_penalties(penalties)

@@ -124,9 +124,9 @@ def _scatter(w, p, first, present, solids):
         if solids is not None:  # noqa: SIM102 - Numba leaves out what hangs on this alone
             if p[RESIDUALS.bending] > 0:
                 scatter_row(
-                at(lanes(p, RESIDUALS.bend), upper), i * ld, at(floats(p, RESIDUALS.bends), upper),
-                first * columns * ld + i * ld, present, columns * ld, ld - upper,
-            )  # fmt: skip
+                    at(lanes(p, RESIDUALS.bend), upper), i * ld, at(floats(p, RESIDUALS.bends), upper),
+                    first * columns * ld + i * ld, present, columns * ld, ld - upper,
+                )  # fmt: skip
 
 
 @jit
