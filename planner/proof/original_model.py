@@ -1,8 +1,9 @@
 """Step 6 of a proof: the plan in the model exactly as the user gave it.
 
 A plan's model may lack contacts, friction loss or equalities of the user's file. Here the file is simulated unedited,
-with its own options at a refined step, under the plan's controls and gains. Prescribed joints of the plan are moved by
-motors in it too, and torques that MJCF cannot express act in it too.
+at a refined step, under the plan's controls alone and with its gains as in step 3. Each mode is judged by itself: a
+plan passes in a mode if steps 3, 4 and 6 pass in it. Prescribed joints of the plan are moved by motors in it too, and
+torques that MJCF cannot express act in it too.
 
 The integrator is MuJoCo's RK4, as in the rest of a proof: Euler's error at the refined step alone is 0.4 rad of the
 acrobot's path, which is no error of a plan. A stiff file may need its own integrator, which is used where RK4 fails. A
@@ -12,13 +13,14 @@ the accelerations that MuJoCo computes of the file.
 
 Elements that the plan's model lacks must have no effect: no contact of an unmodelled pair, no joint limit reached, no
 actuator clamp, no divergence, every goal is met, and the path stays within the bounds of the path in the plan's model.
+With gains, the path without them may do that in their place.
 Pairs that penetrate at the plan's start are watched in the file, where MuJoCo would separate them by force: they must
 not go deeper, nor part and meet again. The verdict names them. So are pairs that prescribed joints alone move.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -60,13 +62,14 @@ from planner.proof.reached_limits import clamps_hit, largest_excess, stops_hit
 from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin, unmodelled_of, with_model
 from planner.proof.replays.passages import passages
-from planner.proof.replays.passive_torque_callback import curves_acting
-from planner.proof.replays.replaying import Replay, replay_in, step_of
-from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK, damping_of, simulate
+from planner.proof.replays.replaying import Replay, replay_in
+from planner.proof.replays.sampled_gains import sampling_of
+from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK, damping_of
+from planner.proof.robustness.rollouts import MODES
 from planner.proof.verdict import PATH_WITH_GAINS
 
 TITLE = "your file"
-OPEN_LOOP_MISSES = "open_loop_goals_missed"
+OPEN_LOOP_MISSES = "open_loop_misses"
 EQUALITY_RATE = "equality_rate"
 PATH_IN_FILE = "path_over_its_bound"  # above 1, its note is for the first line
 RANGE_EXCESS = "range_excess"
@@ -83,21 +86,21 @@ class PrescriptionError(ModelError):
 
 @np.errstate(all="ignore")  # a trajectory may diverge: NaN passes no bound
 def your_file(
-    plan: Plan, problem: Problem, goals: Sequence[GoalCheck], *, open_loop: Replay | None = None,
+    plan: Plan, problem: Problem, goals: Sequence[GoalCheck], *, runs: Mapping[str, Replay] | None = None,
     mjcf: Any = None, twin: Twin | None = None,
-) -> tuple[Section, Replay | None]:  # fmt: skip
-    """Replay a plan with its gains in the model as the user gave it, and judge the effect of unmodelled elements.
+) -> dict[str, tuple[Section, Replay | None]]:  # fmt: skip
+    """Replay a plan in the model as the user gave it, open loop and with its gains, and judge unmodelled elements.
 
     Args:
         plan: A plan of this problem.
         problem: With a twin.
         goals: Goal checks of the end, where the machine has no rule of its own.
-        open_loop: The replay without gains in the plan's own model; reused where the file is that model.
+        runs: The replays of step 3 by mode; reused where the file is the model that they ran in.
         mjcf: Another MJCF, a path or the XML text, in place of the user's own; nothing is taken out.
         twin: Another model and other maps in place of the plan's own.
 
     Returns:
-        The step, and the replay in the file; None where the step does not apply.
+        By mode, the step and the replay in the file; None where the step does not apply.
 
     Raises:
         PlannerError: The plan cannot be replayed.
@@ -105,38 +108,55 @@ def your_file(
     """
     twin = twin or plan.twin
     if twin is None:
-        return Section(TITLE, not_applicable="the plan has no MuJoCo model to be replayed in"), None
+        return _not_applicable("the plan has no MuJoCo model to be replayed in")
     try:
         given = as_given(problem, twin, mjcf)
     except PrescriptionError as error:
-        return Section(TITLE, not_applicable=str(error)), None
-    if open_loop is not None and _same_model(open_loop.twin, given.twin):
-        given = open_loop.compiled  # compiled already
+        return _not_applicable(str(error))
+    known, sampling = tuple((runs or {}).values()), sampling_of(plan)
+    if known and _same_model(known[0].twin, given.twin):
+        given = known[0].compiled  # compiled already
     compiled = _without_overlaps(problem, given)
-    known = open_loop if open_loop is not None and compiled is open_loop.compiled else None
-    planned = None if open_loop is None else open_loop.plan_xs
+    planned = known[0].plan_xs if known else None
     own = load_mujoco().mjtIntegrator(compiled.model.opt.integrator).name.removeprefix("mjINT_")
     explicit = damping_of(problem.dynamics) is None
     tried = ("RK4", own) if explicit else (NATIVE_IMPLICIT, ROSENBROCK, own)
-    first: tuple[Section, Replay] | None = None
-    for integrator in dict.fromkeys(tried):  # the first one that passes is enough
-        run = replay_in(compiled, plan, feedback=True, integrator=integrator, planned=planned)
-        alone = (known.t, known.xs) if known and first is None else _without_gains(run)
-        measured = (*_measured(run, problem, goals), *_path(run, alone[1]), *_open_loop(plan, *alone, goals))
-        section = Section(TITLE, measured)
-        planned = run.plan_xs
-        if first is None or len(section.failures) < len(first[0].failures):
-            first = section, run
-        if section.passed:
+    best: dict[str, tuple[Section, Replay]] = {}
+    for integrator in dict.fromkeys(tried):  # the first one that passes with gains is enough
+        at_hand = {one.feedback: one for one in known if one.compiled is compiled and one.integrator == integrator}
+        both: dict[str, Replay] = {}
+        for mode, feedback in zip(MODES, (False, True), strict=True):
+            both[mode] = at_hand.get(feedback) or replay_in(
+                compiled, plan, feedback=feedback, integrator=integrator, sampling=sampling, planned=planned
+            )
+            planned = both[mode].plan_xs
+        for mode, section in _sections(problem, both, goals).items():
+            if mode not in best or len(section.failures) < len(best[mode][0].failures):
+                best[mode] = section, both[mode]
+        if best[MODES[1]][0].passed:
             break
-    else:
-        assert first is not None  # there is always one
-        section, run = first
-    return Section(TITLE, (*section.measured, *own_step(plan, problem, run, goals))), run
+    at_own_step = own_step(plan, problem, best[MODES[1]][1], goals)
+    return {
+        mode: (replace(section, measured=(*section.measured, *at_own_step)), run)
+        for mode, (section, run) in best.items()
+    }
+
+
+def _not_applicable(why: str) -> dict[str, tuple[Section, Replay | None]]:
+    return dict.fromkeys(MODES, (Section(TITLE, not_applicable=why), None))
+
+
+def _sections(problem: Problem, both: Mapping[str, Replay], goals: Sequence[GoalCheck]) -> dict[str, Section]:
+    """What is judged and shown of the replays in the file by mode, each by the same rules."""
+    alone, fed = (both[mode] for mode in MODES)
+    openly = Section(TITLE, (*_measured(alone, problem, goals), *_path(fed, alone, ("without gains",))))
+    ends = _open_loop(alone, openly.failures)
+    with_gains = (*_measured(fed, problem, goals), *_path(fed, alone, ("with gains", "without gains")), *ends)
+    return {MODES[0]: replace(openly, measured=(*openly.measured, *ends)), MODES[1]: Section(TITLE, with_gains)}
 
 
 def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list[Measurement]:
-    """Everything that is judged and shown of a replay with gains."""
+    """What is judged and shown of one replay, but for its path."""
     touching, at_start, overlaps = _touches(run, problem)
     sentences = {
         "unknown_contacts": (touching, "touches of pairs that the plan's model lacks"),
@@ -309,23 +329,23 @@ def _goals(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> Sequenc
     return misses("replayed", run.t, run.xs, tuple(goals))
 
 
-def _path(run: Replay, without_gains: np.ndarray) -> list[Measurement]:
-    """The largest deviation from the plan at any step, of each unit, with gains or without, whichever follows better.
+def _path(fed: Replay, alone: Replay, modes: Sequence[str]) -> list[Measurement]:
+    """The largest deviation from the plan at any step, of each unit, in whichever of the modes follows better.
 
     Of a plan with contacts, whose law may be another than the file's, the path is not judged, and its velocities, which
     jump there, are no part of the shares; where the file's equalities are softer than the plan's it may be off by
     SMOOTHED.
     What is beyond its own bound is said by the first measurement, for the first line.
     """
-    plan, rate = run.plan, _spring_rate(run.compiled.model)
+    plan, rate = fed.plan, _spring_rate(fed.compiled.model)
     allowed = bounds_in_file(plan, rate)
     errors = {
-        how: list(worst_by_unit(plan, plan.space.difference(xs, run.plan_xs), allowed))
-        for how, xs in (("with gains", run.xs), ("without gains", without_gains))
+        how: list(worst_by_unit(plan, run.error, allowed))
+        for how, run in (("with gains", fed), ("without gains", alone))
     }
     judged = {how: [one for one in each if is_path_judged(plan, one.unit)] for how, each in errors.items()}
     shares = {how: max(one.share for one in each) for how, each in judged.items()}
-    how = min(shares, key=lambda how: shares[how])
+    how = min(modes, key=lambda how: shares[how])
     worst = max(judged[how], key=lambda one: one.share)
     note = f"in your file {worst.value:.2g} {worst.unit} ({worst.name}) off its path {how}"
     bounds = [None if has_contacts(plan) else one.bound for one in errors[how]]
@@ -370,25 +390,11 @@ def _forces(run: Replay, overlaps: list[str]) -> list[Measurement]:
     ]  # fmt: skip
 
 
-def _open_loop(plan: Plan, t: np.ndarray, xs: np.ndarray, goals: Sequence[GoalCheck]) -> list[Measurement]:
-    """Errors of the end without gains, from states xs (M, nx) in the file, and the number of goals missed."""
-    error = plan.space.difference(xs[-1], plan.xs[-1])[None]
-    own_rule = plan.problem is not None and plan.problem.requirements is not None and plan.problem.requirements.goal
-    failed = [] if own_rule else [one for one in misses("open loop", t, xs, tuple(goals)) if not one.passed]
-    note = "; ".join(map(str, failed)) or "without gains"
+def _open_loop(run: Replay, failures: Sequence[Measurement]) -> list[Measurement]:
+    """How much fails in the file without gains, and the errors of that replay's end."""
+    note = "; ".join(map(str, failures)) or "without gains"
     ends = [
         Measurement(f"open_loop_end_{one.word}_error", one.value, one.unit, None, f"of {one.name} from the plan's end")
-        for one in worst_by_unit(plan, error)
+        for one in worst_by_unit(run.plan, run.error[-1:])
     ]
-    return [Measurement(OPEN_LOOP_MISSES, float(len(failed)), "", None, note), *ends]
-
-
-def _without_gains(run: Replay) -> tuple[np.ndarray, np.ndarray]:
-    """Times (M,) and states (M, nx) of the file without gains, from the start of a replay."""
-    compiled = run.compiled
-    model = compiled.stepping(run.timestep, run.integrator)
-    ctrl = compiled.commands(np.repeat(run.plan.us, run.substeps, axis=0))
-    start = np.concatenate([run.qpos[0], run.qvel[0], run.act[0]])
-    with curves_acting(compiled.twin, model):
-        w, _ = simulate(model, start, ctrl, step=step_of(run.plan, model, run.integrator))
-    return run.t, compiled.twin.x_of(w)
+    return [Measurement(OPEN_LOOP_MISSES, float(len(failures)), "", None, note), *ends]

@@ -1,9 +1,9 @@
 """prove(): independent verification of a plan step by step, each value with its bound.
 
 The steps are in prove(), a line each. PASS requires the plan's consistency, model parity and the same step (0, 1, 2,
-where they apply), a trajectory that MuJoCo reproduces and that ends at the goal (3, 4) in the same mode, the user's own
-file, and a converged solve. Open loop is tried first, and also requires step convergence: a cost that changes with a
-smaller step is an integration error.
+where they apply), a trajectory that MuJoCo reproduces and that ends at the goal, in the user's own file too (3, 4, 6 in
+the same mode), and a converged solve. Open loop is tried first, and also requires step convergence: a cost that changes
+with a smaller step is an integration error.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from planner.proof.error_propagation import propagate_errors
 from planner.proof.error_scales import worst_by_unit
 from planner.proof.feedback_rate import controller_section, slowest_rate
 from planner.proof.goal_regulator import RegulatedRun, hold_gain, hold_section, simulate_regulator
-from planner.proof.original_model import OPEN_LOOP_MISSES, PATH_IN_FILE, your_file
+from planner.proof.original_model import PATH_IN_FILE, your_file
 from planner.proof.original_model import TITLE as FILE
 from planner.proof.own_step import NAME as OWN_STEP
 from planner.proof.replay_errors import goal, tracking
@@ -123,16 +123,21 @@ def prove(
     judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
     sound = all(section.passed for section in required.values())
     goals = goals_of(problem, plan.xs)
-    given, replayed = your_file(plan, problem, goals, open_loop=runs["open-loop"], mjcf=mjcf, twin=twin)
-    # A plan that follows the user's file only with its gains is no open-loop plan.
-    lost = any(one.name == OPEN_LOOP_MISSES and one.value for one in given.measured)
-    modes = MODES[1:] if lost else MODES
-    mode = next((m for m in modes if sound and all(step.passed for step in judged[m])), None)
+    in_file = {
+        mode: found[0] for mode, found in your_file(plan, problem, goals, runs=runs, mjcf=mjcf, twin=twin).items()
+    }
+    followed = [m for m in MODES if sound and all(step.passed for step in judged[m])]
+    mode = next((m for m in followed if in_file[m].passed), None)
     broken = [m for m in MODES if not all(step.passed for step in judged[m])]
-    seen = mode or min(broken, key=lambda m: bound_excess(judged[m]), default="open-loop")
-    repeated = mode is not None
+    # The mode that passed, else the one with the smaller error where it fails; gains at equal errors in the file.
+    seen = (
+        mode
+        or min(reversed(followed), key=lambda m: bound_excess([in_file[m]]), default=None)
+        or min(broken, key=lambda m: bound_excess(judged[m]), default="open-loop")
+    )
+    given = in_file[seen if followed else "feedback"]
+    repeated = bool(followed)
     converged = optimality(plan, problem, now, repeated)
-    mode = mode if given.passed else None
     passed = mode is not None and (converged.passed or not optimal)
     sections = {
         **required,
@@ -147,7 +152,7 @@ def prove(
         # Step 4: whether the replay meets the goals, and whether the machine stays at a goal to be regulated.
         "goal": steps[seen][1],
         "hold": Section("hold", not_applicable="it was not asked for"),
-        # Step 6: the controls and ideal gains in the model exactly as the user gave it.
+        # Step 6: the model exactly as the user gave it, in the same mode.
         "your_file": given,
         # Shown, not judged, and after the verdict. Step 5: the success rate with other masses, friction,
         # starts, noise and delay. Then the effect of encoders and slow gains, and of other contact parameters.
@@ -158,7 +163,7 @@ def prove(
         "another_model": compiled.twin is not plan.twin,
     }  # fmt: skip
     lacks = unmodelled_of(problem, compiled)
-    tested, untested = (lacks.in_the_file, lacks.never_replayed) if replayed else ((), lacks.phrases)
+    tested, untested = (lacks.in_the_file, lacks.never_replayed) if given.measured else ((), lacks.phrases)
     proof = Proof(
         verdict="PASS" if passed else "FAIL", mode=mode,
         reason=_reason(
@@ -167,7 +172,9 @@ def prove(
         ),
         sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
         planned_without=tested,
-        lost_with_gains=tuple(one for step in judged["feedback"] for one in step.failures) if mode == MODES[0] else (),
+        lost_with_gains=tuple(
+            one for step in (*judged["feedback"], in_file["feedback"]) for one in step.failures if mode == MODES[0]
+        ),
         not_checked=(
             *([f"without {' and '.join(untested)}"] if untested else []), *_said_in_file(given),
             *_unjudged(plan, problem), *skating(plan, problem), *foot_penetration(plan, problem),

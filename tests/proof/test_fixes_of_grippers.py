@@ -1,6 +1,4 @@
-"""suggested_fixes(): gains of a held control that shake a servo, and ranges that leave a joint no room."""
-
-import pytest
+"""Grippers whose equality is soft in the file: what is suggested, and gains that shake the file alone."""
 
 import planner
 from planner.proof.diagnostics import suggested_fixes
@@ -28,16 +26,35 @@ def proved(tmp_path, more="", drive="", tip="", toml=CLOSE):
     return plan, planner.prove(plan, rollouts=0)
 
 
-def test_gains_that_shake_an_undamped_servo_get_a_shorter_stage(tmp_path):
+def test_a_path_that_a_held_control_leaves_with_and_without_gains_gets_a_stiffer_equality(tmp_path, monkeypatch):
+    """Gains at every step of the simulator would shake the servo; as a controller applies them they follow."""
     plan, proof = proved(tmp_path, more="dt = 0.01\n")
     assert not proof.your_file.passed
+    assert all(one.name.startswith("largest_") for one in proof.your_file.failures)
+    (only,) = suggested_fixes(plan, proof)
+    assert only.code == "equality_gives"
+    solref = f'solref="{only.values["time"]:.2g} 1"'
+    assert solref in str(only)
+    monkeypatch.setitem(globals(), "GRIPPER", GRIPPER.replace("/></equality>", f" {solref}/></equality>"))
+    assert proved(tmp_path, more="dt = 0.01\n")[1].passed
+
+
+def test_a_plan_whose_gains_shake_the_file_alone_passes_for_open_loop_only(tmp_path):
+    """The soft equality gives the file a mode that the plan does not know, and one period late the gains excite it.
+
+    Friction of the file that the plan leaves out, and that acts within a step of the proof, moves the controls' path
+    too: then neither mode passes.
+    """
+    _, proof = proved(tmp_path, more="dt = 0.0025\n")
     assert proof.refined_feedback.passed
-    first = suggested_fixes(plan, proof)[0]
-    assert first.key == "dt"
-    assert first.value == pytest.approx(0.0025)  # the longest that people would write in which it swings half a radian
-    assert first.code == "gains_too_fast"
-    _, again = proved(tmp_path, more=f"{first.key} = {first.value}\n")
-    assert again.passed
+    assert proof.your_file.passed
+    assert (proof.verdict, proof.mode, proof.robustness) == ("PASS", "open-loop", "open loop only")
+    assert {one.name for one in proof.lost_with_gains} >= {"replayed_angular_velocity_miss"}
+    rubs = {"drive": 'frictionloss="1" solreffriction="0.001 1"', "more": 'dt = 0.0025\nignore = ["frictionloss"]\n'}
+    _, rubbing = proved(tmp_path, **rubs)
+    assert rubbing.refined_open_loop.passed
+    assert rubbing.verdict == "FAIL"
+    assert {one.name for one in rubbing.your_file.failures} >= {"largest_angle_error"}
 
 
 def test_a_stage_is_no_longer_than_the_gains_of_an_undamped_servo_bear(tmp_path):

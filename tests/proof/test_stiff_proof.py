@@ -237,7 +237,7 @@ def test_a_joint_that_stops_within_a_step_of_the_simulator_passes_in_the_file(tm
     assert np.abs(np.diff(plan.xs[-2:, 3])).max() > 0.5 * np.abs(plan.xs[:, 3]).max()  # it stops in the last stage
     native = replay_in(CompiledTwin(plan.twin), plan, feedback=True, integrator="IMPLICITFAST")
     assert np.any(np.abs(native.error) > path_error_bounds(plan))
-    section, run = your_file(plan, plan.problem, goals_of(plan.problem, plan.xs))
+    section, run = your_file(plan, plan.problem, goals_of(plan.problem, plan.xs))["feedback"]
     assert run.integrator == "rosenbrock"
     assert section.passed, section.failures
     assert planner.prove(plan, rollouts=0).passed

@@ -16,6 +16,7 @@ from planner.proof.original_model import your_file
 from planner.proof.replay_errors import cost_error
 from planner.proof.replays.compiled_twin import CompiledTwin, left_out, unmodelled_of
 from planner.proof.replays.replaying import replay_in
+from planner.proof.replays.sampled_gains import sampling_of
 
 # An arm of 1 m on a vertical axis, and a wall that its tip meets at 0.8 rad.
 ARM = """
@@ -48,7 +49,7 @@ def problem(text, goal, **reading):
 
 
 def judged(plan, goal=0.0, **more):
-    section, run = your_file(plan, plan.problem, [end(goal)], **more)
+    section, run = your_file(plan, plan.problem, [end(goal)], **more)["feedback"]
     return section, {one.name: one.note for one in section.failures}, run
 
 
@@ -207,9 +208,11 @@ def test_actuators_that_were_taken_out_stay_idle():
 def test_a_file_that_is_the_plans_own_is_not_compiled_again():
     plan = planner.solve(planner.cases.two_link())
     open_loop = replay_in(CompiledTwin(plan.twin), plan)
-    section, run = your_file(plan, plan.problem, (), open_loop=open_loop)
-    assert run.compiled is open_loop.compiled
-    assert section.passed
+    both = your_file(plan, plan.problem, (), runs={"open-loop": open_loop})
+    assert both["open-loop"][1] is open_loop  # nor is it simulated again
+    assert both["feedback"][1].compiled is open_loop.compiled
+    assert both["feedback"][1].sampling == sampling_of(plan)  # as in step 3, and as a controller applies them
+    assert all(section.passed for section, _ in both.values())
     assert left_out(plan.problem) == ()
 
 
@@ -221,7 +224,7 @@ def test_prescribed_joints_are_driven_in_the_file_too():
     there[1] = 1.6
     cost = TrackingCost.joints(dynamics, there, 50, effort=0.01, final_position=1e3, final_velocity=1e2)
     plan = planner.solve(Problem(dynamics, cost, np.zeros(dynamics.nx)))
-    section, run = your_file(plan, plan.problem, ())
+    section, run = your_file(plan, plan.problem, ())["feedback"]
     assert left_out(plan.problem) == ("contacts of 1 pair",)
     assert "geom 'wall' and geom 'arm' touch" in section.failures[0].note
     assert np.abs(run.xs[:, 0]).max() < 1e-3  # the rail stays where it is told to
@@ -233,7 +236,7 @@ def test_errors_of_the_files_integrator_are_no_fault_of_the_plan():
     """Euler at the refined step ends 0.025 rad from the acrobot's plan, and a goal may be judged by 0.02 rad."""
     plan = planner.solve(planner.cases.acrobot())
     text = plan.twin.mjcf.replace('integrator="RK4"', 'integrator="Euler"')
-    section, run = your_file(plan, plan.problem, [end(float(plan.xs[-1, 0]), tolerance=1e-3)], mjcf=text)
+    section, run = your_file(plan, plan.problem, [end(float(plan.xs[-1, 0]), tolerance=1e-3)], mjcf=text)["feedback"]
     assert section.passed
     assert run.integrator == "RK4"
 
@@ -253,7 +256,7 @@ def test_a_stiff_file_has_its_own_integrator():
 
 def test_velocities_of_a_plan_with_contacts_are_shown_and_no_part_of_its_path():
     plan = planner.solve(planner.load_problem("quadruped"))
-    section, run = your_file(plan, plan.problem, [])
+    section, run = your_file(plan, plan.problem, [])["feedback"]
     found = {one.name: one for one in section.measured}
     shares = np.abs(plan.space.difference(run.xs, run.plan_xs)).max(axis=0) / path_error_bounds(plan)
     nv = plan.problem.dynamics.mechanism.nv
@@ -265,7 +268,7 @@ def test_velocities_of_a_plan_with_contacts_are_shown_and_no_part_of_its_path():
 
 def test_the_cost_of_a_plan_with_contacts_may_differ_by_what_its_path_may():
     plan = planner.solve(planner.load_problem("quadruped"))
-    _, run = your_file(plan, plan.problem, [])
+    _, run = your_file(plan, plan.problem, [])["feedback"]
     cost = judged_cost(plan.problem)
     by_errors = 100.0 * cost.change_by_errors(plan, plan.problem) / cost.scale(plan, plan.problem)
     assert by_errors > 100.0 * SMOOTHED  # %

@@ -23,7 +23,7 @@ from planner.proof.diagnostics.solving import (
     other_guesses,
     other_model,
 )
-from planner.proof.diagnostics.stage import calmer_gains, clamped_between, shorter_stage
+from planner.proof.diagnostics.stage import clamped_between, shorter_stage
 from planner.proof.diagnostics.suggested_fix import SuggestedFix
 from planner.proof.diagnostics.velocity_weight import penalize_velocity
 from planner.proof.verdict import Proof
@@ -33,7 +33,7 @@ __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 _CAUSES = (
     other_model, standing_goal, gait_needed, first_guess, no_way_around, avoid_contact, fixed_joints, untouched,
     jump_not_found, more_time, passing_duration, penalize_velocity, within_limits, without_ignored, more_iterations,
-    shorter_stage, calmer_gains, clamped_between, wider_margin, larger_weights, other_guesses, falling, not_a_minimum,
+    shorter_stage, clamped_between, wider_margin, larger_weights, other_guesses, falling, not_a_minimum,
     soft_equalities,
 )  # fmt: skip
 _OF_CYCLES = (avoid_contact, fixed_joints, within_limits, more_iterations, failing_cycle)

@@ -91,14 +91,14 @@ SENTENCES = {
     "other_model": "The model that is replayed has other numbers than the plan's: plan again with it.",
     "unknown": "No cause of {failed} is known: give the motion more than {duration}, or a goal nearer to its start; "
     "docs/questions.md has what others met.",
+    "unknown_of_time": "No cause of {failed} is known: write `durations` that are all longer than {duration}, "
+    "or a goal nearer to its start; docs/questions.md has what others met.",
     # The stage
     "first_order": "with {integrator} plan and MuJoCo differ by {share} what passes, an error of first order",
     "stage_too_long": "at {dt:.4g} plan and MuJoCo differ by {share} what passes, an error that falls with the power "
     "{order:.2g} of the stage",
     "clamped_in_stage": "the plan keeps the limits of its actuators at the ends of its stages of {dt:.4g}, and not "
     "within them",
-    "gains_too_fast": "in your file the machine arrives without the plan's gains and not with them: they are made for "
-    "controls that are constant for {dt:.4g}, in which the machine swings through {swing:.2g}",
 }  # fmt: skip
 
 TRIED = {

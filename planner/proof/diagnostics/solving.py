@@ -119,4 +119,5 @@ def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> Suggeste
         sections = [section for name, section in proof.sections.items() if name not in other]
         failed = [one for section in sections for one in section.failures]
     what = failed[0].name.replace("_", " ") if failed else "the end of the solve"
-    return no_fix("", "unknown", failed=what, duration=Quantity(problem.duration, "s"))
+    code = "unknown_of_time" if seeks_duration(plan) else "unknown"  # whose problem has no duration of its own
+    return no_fix("", code, failed=what, duration=Quantity(problem.duration, "s"))

@@ -1,8 +1,4 @@
-"""Diagnose a stage that is too long.
-
-Either the integration error of the plan's step makes MuJoCo at a refined step deviate, or gains with controls that are
-constant over a stage destabilize a machine that oscillates within a stage.
-"""
+"""Diagnose a stage that is too long: the error of the plan's step, or clamps that act within a stage."""
 
 from __future__ import annotations
 
@@ -17,12 +13,10 @@ from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix
 from planner.proof.error_propagation import FACTOR
-from planner.proof.original_model import OPEN_LOOP_MISSES
 from planner.proof.verdict import Proof
 
 TARGET_SHARE = 0.5  # of the bound: the error to aim at
 MAX_DIVISION = 16  # upper limit of the factor: with shorter stages the cause is another
-MAX_SWING = 0.5  # of the fastest oscillation's rad/s times the stage: gains then act within an oscillation period
 _SHORT = 1e-4  # tolerance, relative to a stage
 _SLACK = 1.001  # tolerance of 0.1 % by which a stage may be too long
 _MANTISSAS = (5.0, 4.0, 2.5, 2.0, 1.0)  # of round step lengths
@@ -61,22 +55,6 @@ def clamped_between(plan: Plan, problem: Problem, proof: Proof | None) -> list[S
     dt = problem.dynamics.dt
     value = rounded_step(problem.duration, 0.5 * dt)
     return [fix(problem, "dt", value, "clamped_in_stage", dt=Quantity(dt, "s"))]
-
-
-def calmer_gains(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """The stage length for the fastest oscillation, where the gains alone make the user's file miss its goals."""
-    if proof is None or not proof.refined_feedback.passed or proof.your_file.passed:
-        return []
-    if all(one.name.startswith("largest_") for one in proof.your_file.failures):
-        return []  # errors of the path, with and without gains
-    open_loop_error = next((one.value for one in proof.your_file.measured if one.name == OPEN_LOOP_MISSES), math.nan)
-    swing = float(np.abs(np.imag(rates_at_start(problem))).max())
-    dt = problem.dynamics.dt
-    if open_loop_error != 0.0 or not MAX_SWING < swing * dt < math.inf:
-        return []
-    value = rounded_step(problem.duration, max(MAX_SWING / swing, dt / MAX_DIVISION))
-    values = {"dt": Quantity(dt, "s"), "swing": Quantity(swing * dt, "rad")}
-    return [fix(problem, "dt", value, "gains_too_fast", **values)]
 
 
 def rates_at_start(problem: Problem) -> np.ndarray:

@@ -87,10 +87,9 @@ def _collided(plan: Plan, problem: Problem, proof: Proof, apart: PairClearance) 
     """Increase of clearance, m, of pairs that collide in the user's file, by their names."""
     if not any(one.name == "unknown_contacts" for one in proof.your_file.failures):
         return {}
-    _, run = your_file(plan, problem, goals_of(problem), mjcf=None)
-    if run is None:
-        return {}
-    depths = {frozenset(touch.geoms): touch.deepest for touch in run.contact_extremes}
+    runs = [run for _, run in your_file(plan, problem, goals_of(problem)).values() if run is not None]
+    extremes = sorted((one for run in runs for one in run.contact_extremes), key=lambda one: one.deepest)
+    depths = {frozenset(touch.geoms): touch.deepest for touch in extremes}  # the deepest of a pair
     found = {}
     for pair in apart.pairs:
         depth = depths.get(frozenset((pair.a.geom, pair.b.geom)), 0.0)
