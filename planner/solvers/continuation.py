@@ -208,14 +208,19 @@ def free_problem(problem: Problem) -> Problem:
 
 def at_limits(problem: Problem, plan: Plan) -> bool:
     """Whether a plan is at a bound of its controls or of a range of its states, or beyond."""
-    if problem.bounds is not None and problem.bounds.at_bound(plan.xs, plan.us).any():
-        return True
-    ranges = problem.ranges
-    if ranges is None:
-        return False
-    ways = len(ranges.component) - ranges.at_end
-    assert problem.trajectory_constraints is not None  # of the ranges
-    return bool(ranges.at_bound(plan.xs, problem.trajectory_constraints.tolerance)[1:, :ways].any())
+    return share_at_limits(problem, plan) > 0.0
+
+
+def share_at_limits(problem: Problem, plan: Plan) -> float:
+    """The share of the stages in which a plan is at a bound of a control or of a range of a state, or beyond."""
+    acts, ranges = np.zeros(plan.N, dtype=bool), problem.ranges
+    if problem.bounds is not None:
+        acts |= problem.bounds.at_bound(plan.xs, plan.us).any(axis=1)
+    if ranges is not None:
+        ways = len(ranges.component) - ranges.at_end
+        assert problem.trajectory_constraints is not None  # of the ranges
+        acts |= ranges.at_bound(plan.xs, problem.trajectory_constraints.tolerance)[1:, :ways].any(axis=1)
+    return float(acts.mean())
 
 
 def _beyond(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:

@@ -65,6 +65,7 @@ from planner.solvers.trapped import (
     is_at_goals,
     is_settled,
     is_trapped,
+    lacks_only_weight,
     lacks_weight,
     look_iterations,
     meets_goals,
@@ -193,7 +194,7 @@ class _Relaxation:
             plan.cost < direct.cost or (failed(direct) and (meets_goals(plan) or not math.isfinite(direct.cost)))
         ):
             self.best = direct = replace(plan, starts=direct.starts)
-        if not (failed(direct) and at_limits(problem, direct)):
+        if not (failed(direct) and at_limits(problem, direct)) or lacks_only_weight(problem, direct):
             return direct
         free = self._solve(free_problem(problem), None, limit)
         self._report("free", math.inf, free, is_at_goals(free))

@@ -10,7 +10,7 @@ from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.goals import goals_of, missed_goal_message
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.solvers.continuation import Continuation, at_limits, has_softer
+from planner.solvers.continuation import Continuation, has_softer, share_at_limits
 from planner.solvers.options import DEFAULT, SolverOptions
 
 MAX_QUICK_ITERATIONS = Continuation.look_iterations  # of a direct solve with contacts: then it crawls along their kinks
@@ -19,6 +19,7 @@ NEAR = 0.1  # of the largest error of a goal along a plan: what misses it by les
 SLOWER = 0.75  # the same of a velocity, with contacts
 CLOSE = 2.0  # tolerances, likewise
 SETTLED = 0.05  # of the cost
+FEW = 0.2  # of the stages: where limits act in fewer, a larger weight still moves the controls of the others
 _UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS)
 
 
@@ -26,9 +27,7 @@ def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
     """Whether a direct solve ended without success, and not only because its weights are too small."""
     if not (_is_relaxed(problem, options) and failed(plan)) or plan.status is Status.NOT_FINITE:
         return False
-    if at_limits(problem, plan) or stays_away(problem, plan):
-        return True
-    return not (plan.status is Status.CONVERGED and lacks_weight(problem, plan))
+    return stays_away(problem, plan) or not lacks_only_weight(problem, plan)
 
 
 def direct_iterations(problem: Problem, options: SolverOptions) -> int:
@@ -63,6 +62,11 @@ def lacks_weight(problem: Problem, plan: Plan) -> bool:
         if not one.miss(plan.t, plan.xs) <= max(CLOSE * one.tolerance, farthest):
             return False
     return True
+
+
+def lacks_only_weight(problem: Problem, plan: Plan) -> bool:
+    """Whether a plan converged, lacks weight for its goals, and its limits leave it room for more."""
+    return plan.status is Status.CONVERGED and share_at_limits(problem, plan) < FEW and lacks_weight(problem, plan)
 
 
 def is_settled(plan: Plan) -> bool:

@@ -12,10 +12,18 @@ import planner
 from planner import Limits, PlannerError, Problem, RigidBodyDynamics, SolverOptions, Status, TrackingCost
 from planner.proof.diagnostics import suggested_fixes
 from planner.solvers import relaxation, slq
-from planner.solvers.continuation import FALL_ITERATIONS, Continuation, WiderLimits, at_limits, free_problem
+from planner.solvers.continuation import (
+    FALL_ITERATIONS,
+    Continuation,
+    WiderLimits,
+    at_limits,
+    free_problem,
+    share_at_limits,
+)
 from planner.solvers.multistart import smooth
 from planner.solvers.other_guesses import other_guesses, stabilizing_guess
 from planner.solvers.relaxation import RelaxationStep, relax
+from planner.solvers.trapped import FEW, lacks_weight
 from planner.solvers.work import WorkBudget, work_of_stage
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -144,6 +152,27 @@ def test_a_goal_that_weights_miss_ends_once_two_guesses_lead_to_the_same_plan():
     assert plan.missed_goals
     stages = [step[0] for step in plan.options["relaxation"]["steps"]]
     assert stages == ["direct", "tracked"]
+
+
+def test_a_plan_that_lacks_only_weight_is_not_infeasible_where_a_limit_acts_for_a_while():
+    """The torque is at its bound in 4 of 60 stages; with a hundredth of the weights the plan ends 0.1 rad off."""
+    soft = swing_up(3.0, 5.4)
+    soft = replace(soft, cost=replace_final(soft.cost, 1e-2))
+    plan = planner.solve(soft)
+    assert 0.0 < share_at_limits(soft, plan) < FEW
+    assert plan.missed_goals
+    assert plan.status is Status.CONVERGED
+    assert "relaxation" not in plan.options  # no work is spent on it
+    assert planner.solve(swing_up(3.0, 5.4)).success  # with the weights that it lacks
+
+
+def test_a_plan_that_limits_keep_off_its_goal_is_infeasible_however_little_it_lacks():
+    """At 2 rad/s nearly all the way the pendulum ends 0.24 rad before the goal, with a hundred times the weight too."""
+    fast = swing_up(1.5, velocity=2.0)
+    plan = planner.solve(fast)
+    assert lacks_weight(fast, plan)
+    assert share_at_limits(fast, plan) > FEW
+    assert plan.status is Status.INFEASIBLE
 
 
 def replace_final(cost, share):
