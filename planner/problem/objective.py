@@ -21,7 +21,7 @@ from planner.base.arguments import number
 from planner.model.capabilities import capabilities_of
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.jerk import JerkCost, with_acceleration
-from planner.problem.costs.motors import EnergyCost
+from planner.problem.costs.motors import SMOOTHING, EnergyCost
 from planner.problem.costs.terms import Quadratic, SumCost, Term, call_if_supported
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
@@ -55,7 +55,7 @@ def rebuilt(problem: Problem, **changes: Any) -> Problem:
     own = base_problem(problem)
     assert own.recipe is not None  # its caller knows its arguments
     new = replace(base_problem(own.recipe.rebuilt(**changes)), limits=own.limits)
-    return new if problem.objective is None else with_objective(new, problem.objective.weights)
+    return new if problem.objective is None else with_objective(new, problem.objective.stored)
 
 
 def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Problem:
@@ -64,23 +64,26 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
     Args:
         problem: With a TrackingCost, alone or in a sum with DriveCosts, FrameCosts and PenaltyCosts; an objective that
             it has is replaced.
-        objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "jerk": 1e-3}.
+        objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "jerk": 1e-3}; and
+            with energy its "smoothing", W (see EnergyCost), which solve_for takes from the plan of least effort.
 
     Raises:
         PlannerError: An unknown name or a negative weight; a machine without actuators or joints to speak of.
     """
-    weights = {"effort": EFFORT_SHARE} | weights_of(objective)
+    given = dict(objective) if isinstance(objective, Mapping) else {}
+    smoothing = given.pop("smoothing", None)
+    weights = {"effort": EFFORT_SHARE} | weights_of(given or objective)
     problem = base_problem(problem)
     base, dynamics = problem.cost, problem.dynamics
     terms = [base if weights["effort"] == 1.0 else call_if_supported(base, "with_effort", weights["effort"])]
     if "energy" in weights:
-        terms.append(EnergyCost(dynamics, weights["energy"]))
+        terms.append(EnergyCost(dynamics, weights["energy"], SMOOTHING if smoothing is None else smoothing))
     if "jerk" in weights:
         terms.append(_jerk(problem, weights["jerk"]))
     if "time" in weights:
         terms.append(TimeCost(problem.duration, weights["time"], space_of(dynamics)))
     cost = terms[0] if len(terms) == 1 else SumCost(*terms)
-    return replace(problem, cost=cost, objective=Objective(weights, base))
+    return replace(problem, cost=cost, objective=Objective(weights, base, smoothing))
 
 
 def _jerk(problem: Problem, weight: float) -> JerkCost:

@@ -302,7 +302,7 @@ class Plan(Built, Plottable):
             "twin": None if self.twin is None else self.twin.to_dict(folder),
             "mjcf": None if self.twin is None else self.twin.mjcf, "files": names, "space": self.space.to_dict(),
             "starts": [(s.number, s.status.name, float(s.cost), s.iterations, float(s.score)) for s in self.starts],
-            "options": self.options, "objective": None if objective is None else objective.weights,
+            "options": self.options, "objective": None if objective is None else objective.stored,
             "limits": None if self.problem is None or self.problem.limits is None else self.problem.limits.to_dict(),
             "tolerance": None if self.problem is None else stored_tolerance(self.problem.tolerance),
             "touch_downs": [one.to_dict() for one in self.touch_downs],

@@ -85,10 +85,17 @@ class Objective:
     Attributes:
         weights: Above 0, by names of OBJECTIVES: the arguments of with_objective, and the share of effort.
         base: The problem's cost before with_objective.
+        smoothing: Of the energy, W; None for EnergyCost's own.
     """
 
     weights: dict[str, float]
     base: Cost
+    smoothing: float | None = None
+
+    @property
+    def stored(self) -> dict[str, float]:
+        """The weights, and the smoothing where there is one, for with_objective() of the same problem without them."""
+        return self.weights if self.smoothing is None else {**self.weights, "smoothing": self.smoothing}
 
 
 def weights_of(objective: Any) -> dict[str, float]:

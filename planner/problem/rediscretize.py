@@ -59,7 +59,7 @@ def finer(problem: Problem, keep_substeps: bool = False) -> Problem:
         PlannerError: Parts without with_step and resampled, or more than 100 000 stages.
     """
     if problem.objective is not None:
-        return with_objective(finer(base_problem(problem), keep_substeps), problem.objective.weights)
+        return with_objective(finer(base_problem(problem), keep_substeps), problem.objective.stored)
     known = integrator_of(problem.dynamics)
     parts, finest = 1 if known.order == 1 else 2, known.finer
     if parts * problem.N > MAX_STAGES:
@@ -90,7 +90,7 @@ def retimed(problem: Problem, duration: float) -> Problem:
         PlannerError: Parts without with_step and resampled.
     """
     if problem.objective is not None:
-        return with_objective(retimed(base_problem(problem), duration), problem.objective.weights)
+        return with_objective(retimed(base_problem(problem), duration), problem.objective.stored)
     dt = duration / problem.N
     if problem.recipe is not None and "duration" in problem.recipe.parameters:
         names = problem.recipe.parameters

@@ -25,6 +25,7 @@ import numpy as np
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
+from planner.problem.costs.motors import EnergyCost
 from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import base_problem, with_objective
 from planner.problem.plan import Plan, Status
@@ -129,11 +130,15 @@ def _in_its_duration(
     """A plan of the objective in the problem's own duration, from that of a similar problem where there is one."""
     wanted = with_objective(problem, weights)
     if before is not None:
+        assert before.problem is not None
+        assert before.problem.objective is not None  # it is of this objective
+        wanted = with_objective(problem, before.problem.objective.stored)
         again: dict[str, Any] = single_start(options) | {"warm_start": before}
         return solve(wanted, callback=callback, **again)
     default = _without_objective(problem)
     if set(weights) != {"effort"} or default.cost is not base_problem(problem).cost:
-        wanted = replace(wanted, us=solve(default, **single_start(options)).us)
+        usual = solve(default, **single_start(options))
+        wanted = replace(with_objective(problem, weights | _smoothing(problem, weights, usual)), us=usual.us)
     return solve(wanted, callback=callback, **options)
 
 
@@ -146,6 +151,9 @@ def _over_durations(
     search = _DurationSearch(problem, weights, options, callback)
     if before is not None:
         search.plans[own := float(before.t[-1])] = before
+        if before.problem is not None and before.problem.objective is not None:
+            stored = before.problem.objective.stored
+            search.smoothing = {name: stored[name] for name in ("smoothing",) if name in stored}
         longest = min(longest, own * (1.0 - 2.0 * tolerance) if alone else own / _SHRINK)
         shortest = max(shortest, 0.0 if alone else _SHRINK * own)
         search.problem = retimed(problem, float(np.clip(own, shortest, longest)))
@@ -159,6 +167,13 @@ def _over_durations(
     if before is not None and search.best is None:
         return None
     return search.best_plan({"durations": list(between), "tolerance": tolerance})
+
+
+def _smoothing(problem: Problem, weights: Mapping[str, float], usual: Plan) -> dict[str, float]:
+    """The smoothing of the energy, W, by the powers of a plan of least effort; nothing without energy."""
+    if "energy" not in weights:
+        return {}
+    return {"smoothing": EnergyCost(problem.dynamics).smoothing_along(usual.xs, usual.us)}
 
 
 def _without_objective(problem: Problem) -> Problem:
@@ -204,6 +219,7 @@ class _DurationSearch:
         self.relaxed = options
         rest = {name: weight for name, weight in weights.items() if name != "time"}
         self.rest, self.alone = rest or {"effort": 1.0}, not rest
+        self.smoothing: dict[str, float] = {}  # of energy: that of the first duration
         self.tried: list[DurationTrial] = []
         self.plans: dict[float, Plan] = {}  # feasible plans by duration
         self.last: Plan | None = None
@@ -220,7 +236,7 @@ class _DurationSearch:
         if self.last is not None and self.budget is not None and self.budget.exhausted:
             self.is_cut = True
             raise _Cut
-        problem = with_objective(retimed(base_problem(self.problem), duration), self.rest)
+        problem = with_objective(retimed(base_problem(self.problem), duration), self.rest | self.smoothing)
         options: dict[str, Any] = single_start(self.options) if self.tried else self.options
         if begin == AFRESH:
             left = WorkBudget(AFRESH_WORK) if self.budget is None else self.budget.part("afresh")
@@ -238,7 +254,11 @@ class _DurationSearch:
             free = retimed(_without_objective(self.problem), duration)
             if not free.constraints:  # else a path through an obstacle is a bad guess
                 free = replace(free, limits=None)
-            problem = replace(problem, us=warm_start(solve(free, **single_start(options)), problem))
+            usual = solve(free, **single_start(options))
+            if not self.smoothing:
+                self.smoothing = _smoothing(problem, self.rest, usual)
+                problem = with_objective(problem, self.rest | self.smoothing)
+            problem = replace(problem, us=warm_start(usual, problem))
         looks = self.alone and bool(self.plans) and begin != AFRESH
         plan, iterations = self._by_looks(problem, options) if looks else (solve(problem, **options), None)
         self.last, outside = plan, _outside(problem, plan)
@@ -288,7 +308,7 @@ class _DurationSearch:
         assert self.last is not None  # set by at()
         plan = self.last if self.best is None else self.plans[self.best[1]]
         assert plan.problem is not None
-        wanted = with_objective(plan.problem, self.weights | {"effort": self.rest.get("effort", 0.0)})
+        wanted = with_objective(plan.problem, self.weights | {"effort": self.rest.get("effort", 0.0)} | self.smoothing)
         told = options | {"tried": [[line.duration, line.cost, line.violation] for line in self.tried]}
         plan = replace(as_user_plan(wanted, plan), options=plan.options | told)
         budget = self.budget if self.is_cut and plan.converged else None

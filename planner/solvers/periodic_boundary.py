@@ -194,7 +194,7 @@ def with_ends(problem: Problem, ends: BoundaryStates, us: np.ndarray) -> Problem
     terms = getattr(old.cost, "costs", (old.cost,))
     whole = [cost.with_goal(ends.goal) if term is cost else term for term in terms]
     new = replace(old, cost=whole[0] if len(whole) == 1 else SumCost(*whole), x0=ends.start, us=us, recipe=recipe)
-    return new if problem.objective is None else with_objective(new, problem.objective.weights)
+    return new if problem.objective is None else with_objective(new, problem.objective.stored)
 
 
 def response(plan: Plan) -> BoundarySensitivity:
