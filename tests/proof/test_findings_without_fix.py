@@ -1,5 +1,6 @@
 """Reasons that no key takes away: a joint that leans on its stop and nothing drives, a machine that falls."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,10 +9,11 @@ from problem_files import arm, file
 
 import planner
 from planner import Limits, Mechanism, Problem, RigidBodyDynamics, SolverOptions, TrackingCost
+from planner.problem.problem_parts import PROBLEM_FILE, Recipe
 from planner.proof.diagnostics import suggested_fixes
 from planner.proof.diagnostics.balance import falling, loses_balance
 from planner.proof.diagnostics.limits import fixed_joints
-from planner.proof.diagnostics.solving import other_model
+from planner.proof.diagnostics.solving import more_iterations, other_guesses, other_model
 from planner.solvers.continuation import DistantContacts
 
 ARM = """
@@ -135,3 +137,25 @@ def test_another_model_than_the_plans_is_no_matter_of_time(tmp_path):
     assert (found.code, found.value) == ("other_model", None)
     proof.parity.failures = [wrong, SimpleNamespace(name="unmodelled_elements")]
     assert other_model(None, problem, proof) == []
+
+
+@pytest.mark.parametrize("substeps", [2, 16])
+def test_a_solve_that_needs_far_more_than_its_work_is_told_what_its_stages_cost(substeps):
+    """What an iteration gains falls by a tenth each time: that trend needs 300 of them, 25 times the 12 that ran."""
+    dynamics = RigidBodyDynamics(Mechanism.from_mjcf(ARM, contacts="off"), 0.02, substeps=substeps)
+    cost = TrackingCost.joints(dynamics, np.zeros(4), 20, effort=1.0)
+    problem = Problem(dynamics, cost, np.zeros(4), recipe=Recipe(PROBLEM_FILE, {}))
+    plan = planner.solve(replace(problem, us=np.ones((20, 1))), max_iterations=1)
+    lines = [falling_line(plan.history[0], k) for k in range(12)]
+    cut = replace(plan, status=planner.Status.WORK_LIMIT, history=tuple(lines), cost=lines[-1].cost,
+                  problem=problem, options={"work": 60.0})  # fmt: skip
+    (found,) = more_iterations(cut, problem, None)
+    assert found.code == "stages_cost_too_much"
+    assert (found.key, found.value) == (("integrator", "rosenbrock") if substeps == 16 else ("work", None))
+    assert f"20 stages of {substeps} substeps" in found.sentence
+    assert not other_guesses(cut, problem, None)
+
+
+def falling_line(line, k):
+    """Iteration k of a solve whose cost and expected reduction fall by a tenth each time."""
+    return line._replace(iteration=k, cost=100.0 * 0.9**k, expected=10.0 * 0.9**k, step=1.0)

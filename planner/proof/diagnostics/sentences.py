@@ -80,6 +80,8 @@ SENTENCES = {
     "stage",
     "guess_runs_away": "the first guess rolls out to infinite states",
     "more_iterations": "after {iterations} iterations the next is still expected to gain {left:.1e} of the cost",
+    "stages_cost_too_much": "work of {work:.3g} was enough for {iterations} iterations with {stages} stages of "
+    "{substeps} substeps, and far more are needed; or move fewer joints, by less or in less time",
     "search_cut": "the plan is the best of {tried} durations; the search for a better one was cut",
     "stalled": "the cost stays at {cost:.5g} and the norm of its gradient at {gradient:.2g}; other first guesses end "
     "elsewhere",
