@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -254,7 +255,9 @@ def _swept(arguments: argparse.Namespace, out: Path, console: Console) -> int:
             limits=limits_of(arguments), progress=console.progress(f"planning {name}"), **options,
         )  # fmt: skip
     page = done.folder / NAME
-    console.table(("status", "tasks"), [(status, str(tasks)) for status, tasks in done.statuses.items()])
+    reasons = done.reasons
+    counted = [(status, str(tasks), reasons[status]) for status, tasks in done.statuses.items()]
+    console.table(("status", "tasks", "the first one's reason"), counted, shutil.get_terminal_size().columns)
     console.write_result(str(page))
     if done.interrupted:
         console.write_error(
@@ -262,5 +265,5 @@ def _swept(arguments: argparse.Namespace, out: Path, console: Console) -> int:
         )
     converged = done.statuses.get("CONVERGED", 0)
     code = INTERRUPTED if done.interrupted else 0 if converged == len(done.grid) else 1
-    facts = {"tasks": len(done.grid), "finished": done.finished, "statuses": done.statuses, "folder": str(out)}
-    return console.finish("sweep", code, **facts)
+    facts = {"tasks": len(done.grid), "finished": done.finished, "statuses": done.statuses, "reasons": reasons}
+    return console.finish("sweep", code, **facts, folder=str(out))

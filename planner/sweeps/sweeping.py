@@ -36,7 +36,7 @@ from planner.sweeps.grid import Grid, check_names, grid_of
 from planner.sweeps.processes import LocalProcesses
 from planner.sweeps.running import ContinuationChains, IndependentTasks, Queue, run
 from planner.sweeps.store import FORMAT, HEAD, TIMES, Store, read_head
-from planner.sweeps.work import LOST, TIMEOUT, Work, known_parameters, source_of, warm
+from planner.sweeps.work import LOST, TIMEOUT, Work, check_buildable, known_parameters, source_of, warm
 
 _TOLERANCE = partial(number, minimum=0.0)
 SOLVE: dict[str, Callable[[str, Any], Any]] = {
@@ -78,6 +78,14 @@ class Sweep(Reportable):
         """The rows by the numbers of their tasks, read one at a time."""
         return self._store.rows()
 
+    @property
+    def reasons(self) -> dict[str, str]:
+        """By status, in the order of `statuses`, the reason of the first task that has one; "" where none has."""
+        found = dict.fromkeys(self.statuses, "")
+        for row in self.rows():
+            found[row["status"]] = found[row["status"]] or row.get("reason", "")
+        return found
+
     def plan(self, task: int) -> Plan:
         """The plan of a task.
 
@@ -102,8 +110,9 @@ def sweep(
 ) -> Sweep:  # fmt: skip
     """Solve one problem at many parameters, and prove each plan where that is asked for.
 
-    A task that raises, runs for too long or ends its worker is in the table with its reason; the others go on. Ctrl-C
-    ends a sweep and keeps what is finished, as does a full disk; with `resume` the same call does the rest.
+    A task that raises, runs for too long or ends its worker is in the table with its reason; the others go on. Where no
+    task of a case or a file can be built, nothing is written. Ctrl-C ends a sweep and keeps what is finished, as does a
+    full disk; with `resume` the same call does the rest.
 
     Args:
         build: A case's name, the path of a problem file, or a function of the parameters that returns a Problem; for
@@ -132,7 +141,8 @@ def sweep(
         A Sweep: its table is table.csv in the folder.
 
     Raises:
-        PlannerError: A parameter that does not exist, a folder with another sweep, workers that do not start.
+        PlannerError: A parameter that does not exist, no task that can be built, a folder with another sweep, workers
+            that do not start.
         FileError: The folder cannot be written.
     """
     grid = grid_of(grid)
@@ -146,6 +156,8 @@ def sweep(
     checked_executor(executor)
     width = processors() if workers is None else count("workers", workers, maximum=MAX_WORKERS)
     folder, head = Path(out), _head(work, continued)
+    if read_head(folder) is None:  # nothing is written for wrong input
+        check_buildable(work)
     before = _claim(folder, head, resume)
     with folder_lock(folder):
         if before != head:

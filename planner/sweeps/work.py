@@ -173,6 +173,31 @@ def warm(work: Work) -> None:
         solve(work.problem(0).problem, hessian=work.options.get("hessian", "gauss-newton"), max_iterations=1)
 
 
+def check_buildable(work: Work) -> None:
+    """Raise the first task's error where no task can be built: then the input is wrong, and nothing is to be solved.
+
+    The first task that can be built ends the check. A function of the user's own is not called, as in `warm`.
+
+    Raises:
+        PlannerError: What is wrong.
+    """
+    if callable(work.source):
+        return
+    first = None
+    for task in range(len(work.grid)):
+        try:
+            with np.errstate(all="ignore"):
+                work.problem(task)
+        except PlannerError as error:
+            first = first or error
+        except Exception:
+            return  # an error of this task alone, which is in its row
+        else:
+            return
+    if first is not None:
+        raise first
+
+
 def failed(work: Work, task: int, status: str, reason: str) -> Done:
     """The row of a task that has no plan."""
     return Done({"task": task, **work.grid.point(task), "status": status, "reason": reason}, None)

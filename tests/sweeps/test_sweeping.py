@@ -267,6 +267,26 @@ def test_the_command_refuses_what_does_not_exist(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_input_of_which_no_task_can_be_built_is_refused_and_nothing_is_written(tmp_path):
+    wrong = run("sweep", "hopper", "--set", "height=-1,-2", "--out", "out", cwd=tmp_path)
+    refused(wrong, "height is -1, expected")
+    (tmp_path / "reach.toml").write_text('model = "arm.xml"\nduratoin = 1.0\n', encoding="utf-8")
+    typo = run("sweep", "reach.toml", "--set", "weights.effort=1,2", "--out", "out", cwd=tmp_path)
+    refused(typo, "'duratoin'")
+    assert [one.name for one in tmp_path.iterdir()] == ["reach.toml"]
+
+
+def test_the_command_says_the_first_reason_of_each_status(tmp_path):
+    words = ("--set", "height=-1,1", "--workers", 1, "--out", "out")
+    done = run("sweep", "hopper", *words, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "FAILED     1      height is -1, expected" in done.stdout
+    again = run("sweep", "hopper", *words, "--resume", "--json", cwd=tmp_path)  # every row is there
+    reasons = json.loads(again.stdout)["reasons"]
+    assert reasons["CONVERGED"] == ""
+    assert reasons["FAILED"].startswith("height is -1, expected")
+
+
 @pytest.mark.parametrize(
     ("how", "reason"),
     [
