@@ -2,7 +2,7 @@
 
 The machine is of RigidBodyDynamics, the cost a TrackingCost, alone or with LeastSquares. A residual is stored by the
 name of its class and its parameters; to build it again, load_plan must be given the class of one that is not of the
-library. A problem with a recipe is rebuilt from its recipe instead. Other dynamics and costs are user-defined Python,
+library, also where it has the name of one that is. A problem with a recipe is rebuilt from its recipe instead. Other dynamics and costs are user-defined Python,
 which is not stored.
 """
 
@@ -62,6 +62,8 @@ def to_arrays(problem: Problem) -> tuple[Recipe, dict[str, np.ndarray]] | None:
         for i, part in enumerate(parts):
             residual, tables = (part.residual, TABLES) if use == "costs" else (part.of, _BOUNDS)
             fact = {"residual": type(residual).__name__, "parameters": residual.parameters()}
+            if LIBRARY.get(fact["residual"], type(residual)) is not type(residual):
+                fact["own"] = True  # though the library has one of this name
             fact |= {"goal": part.has_goal} if use == "costs" else {
                 name: getattr(part, name) for name in ("when", "tolerance", "name", "unit")
             }  # fmt: skip
@@ -85,7 +87,11 @@ def unstorable_part(problem: Problem) -> str:
         return "its own rule of success"
     if other := [one.name for one in problem.constraints if not isinstance(one.of, Residual) or one.states is not None]:
         return f"its constraints ({', '.join(other)})"
+    classes: dict[str, type] = {}
     for residual in (*(term.residual for term in terms[1:]), *(one.of for one in problem.constraints)):
+        name = type(residual).__name__
+        if classes.setdefault(name, type(residual)) is not type(residual):
+            return f"its residuals, two classes of which are called {name}"
         try:
             residual.parameters()
         except PlannerError:
@@ -98,8 +104,8 @@ def unstorable_part(problem: Problem) -> str:
 
 def residual_names(facts: dict[str, Any]) -> list[str]:
     """Names of the residuals of a stored problem that are not of the library."""
-    named = [one["residual"] for use in ("costs", "constraints") for one in facts.get(use, ())]
-    return [name for name in dict.fromkeys(named) if name not in LIBRARY]
+    stored = [one for use in ("costs", "constraints") for one in facts.get(use, ())]
+    return list(dict.fromkeys(one["residual"] for one in stored if one.get("own") or one["residual"] not in LIBRARY))
 
 
 def from_arrays(
@@ -116,7 +122,8 @@ def from_arrays(
     step: dict[str, Any] = {"integrator": facts.get("integrator"), "substeps": facts.get("substeps", 1)}
     dynamics = RigidBodyDynamics(mechanism, facts.get("dt"), prescribed=prescribed, **step)  # pyright: ignore
     cost: Any = TrackingCost(*(arrays[name] for name in _COST), space=dynamics.space)
-    classes = LIBRARY | dict(residuals)
+    own = residual_names(facts)
+    classes = LIBRARY | {name: residuals[name] for name in own}
     for residual, fact, tables in _stored("costs", facts, arrays, classes):
         final = tables["weight"][-1] if fact["goal"] else None
         cost = SumCost(

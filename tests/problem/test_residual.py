@@ -166,6 +166,32 @@ def test_a_file_stores_it_by_name_and_parameters(machine, tmp_path):
     assert again.to_bytes() == plan.to_bytes()
 
 
+def test_a_class_of_ones_own_may_have_the_name_of_a_library_residual(machine, tmp_path):
+    """A file took it for the library's: it was damaged, or with the same arguments another problem."""
+    own = type("FramePosition", (SlopeOfHand,), {})
+    plan = planner.solve(problem_of(machine, LeastSquares(machine, N, own("hand"), weight=1.0)))
+    path = plan.save(tmp_path / "plan.npz")
+    with pytest.raises(FileError, match="residual 'FramePosition' of its maker's own, expected its class"):
+        planner.load_plan(path)
+    again = planner.load_plan(path, residuals={"FramePosition": own})
+    assert again.problem.cost.value(plan.xs, plan.us) == plan.problem.cost.value(plan.xs, plan.us)
+
+
+def test_a_library_residual_is_not_replaced_by_a_class_of_its_name(machine, tmp_path):
+    plan = planner.solve(problem_of(machine, constraints=[Constraint(FramePosition("hand"), upper=2.0)]))
+    own = type("FramePosition", (SlopeOfHand,), {})
+    again = planner.load_plan(plan.save(tmp_path / "plan.npz"), residuals={"FramePosition": own})
+    assert type(again.problem.constraints[0].of) is FramePosition
+
+
+def test_two_classes_of_one_name_are_not_stored(machine, tmp_path):
+    """By their name alone both would be built by the one class that load_plan is given."""
+    cost = LeastSquares(machine, N, type("Slope", (SlopeOfHand,), {})("hand"), weight=1.0)
+    cost += LeastSquares(machine, N, type("Slope", (SlopeOfHand,), {})("hand"), weight=1.0)
+    with pytest.warns(UserWarning, match="cannot hold its residuals, two classes of which are called Slope"):
+        planner.solve(problem_of(machine, cost)).save(tmp_path / "plan.npz")
+
+
 def test_a_residual_without_json_parameters_is_not_stored(machine, tmp_path):
     plan = planner.solve(
         problem_of(machine, LeastSquares(machine, N, SlopeOfHand("hand", np.float64(2.0)), weight=1.0))
