@@ -2,8 +2,8 @@
 
 The machine is of RigidBodyDynamics, the cost a TrackingCost, alone or with LeastSquares. A residual is stored by the
 name of its class and its parameters; to build it again, load_plan must be given the class of one that is not of the
-library, also where it has the name of one that is. A problem with a recipe is rebuilt from its recipe instead. Other dynamics and costs are user-defined Python,
-which is not stored.
+library, also where it is called as one that is. A problem with a recipe is rebuilt from its recipe instead. Other
+dynamics and costs are user-defined Python, which is not stored.
 """
 
 from __future__ import annotations
