@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from numbers import Real
@@ -29,6 +29,7 @@ from planner.control.window_parts import (
     goal_states,
     goal_stays,
     horizon_and_rate,
+    is_of_frames,
     state_after,
     window_dynamics,
 )
@@ -162,15 +163,16 @@ class Controller(StateMachine):
     def goal(self) -> Any:
         """The goal of the task; it may be set at any time.
 
-        A keyframe's name, positions (nq,), a state (nx,) or its trajectory over the horizon (horizon + 1, nx); or a
-        table of frames with world positions, m, (3,) or (horizon + 1, 3): {"hand": [0.4, 0, 0.6]}. One that cannot be
-        met (planner.control.window_parts) is an event, and the machine is held until the next goal.
+        A keyframe's name, positions (nq,), a state (nx,), or its trajectory over the horizon (horizon + 1, nx); joints,
+        {"elbow": 0.5}, while others are where the problem's goal has them; frames with world positions, m, (3,) or
+        (horizon + 1, 3): {"hand": [0.4, 0, 0.6]}. One that cannot be met (planner.control.window_parts) is an event,
+        and the machine is held until the next goal.
         """
         return self._window.x_ref[-1].copy() if self._goal is None else self._goal
 
     @goal.setter
     def goal(self, goal: Any) -> None:
-        if isinstance(goal, Mapping):
+        if is_of_frames(goal):
             if not self._window.frames:
                 raise PlannerError("goal is a table of frames and no frame of this problem has one, expected a state.")
             places = {

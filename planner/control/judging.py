@@ -12,7 +12,7 @@ Results are Sections of Measurements, as in a proof.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.base.measured import Measurement, Section, dicts_of, rows_of
 from planner.control.simulating import LATE, STAYS, ClosedLoopRun
-from planner.control.window_parts import goal_states
+from planner.control.window_parts import goal_states, is_of_frames
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import MIN_TOLERANCES, GoalCheck, goals_of
@@ -182,7 +182,7 @@ def _follows(loop: ClosedLoopRun) -> Section:
     half = np.flatnonzero(loop.t >= 0.5 * loop.t[-1])[:: max(loop.substeps // 4, 1)]
     problem, found = loop.controller.problem, []
     first = loop.goal(0.0)
-    if isinstance(first, Mapping):
+    if is_of_frames(first):
         m = problem.dynamics.mechanism
         q = loop.xs[half, : m.nq]
         for frame in first:

@@ -20,6 +20,7 @@ from planner.base.errors import PlannerError
 from planner.control.control_laws import TIME_TOLERANCE
 from planner.control.controller_states import Fault
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.assembly import with_joints
 from planner.dynamics.protocol import integrator_of
 from planner.dynamics.step_stability import implicit_error
 from planner.kernels.tree.mechanism_table import chain_of
@@ -171,15 +172,35 @@ def updated_rows(problem: Problem) -> tuple[ConstraintStack | None, np.ndarray]:
 
 
 def goal_states(problem: Problem, goal: Any, horizon: int) -> np.ndarray:
-    """The state (nx,) of a goal: a keyframe's name, positions (nq,) or a state; or states (horizon + 1, nx)."""
+    """The state (nx,) of a goal: a keyframe's name, positions (nq,), a table of joints or a state; or states (H+1, nx).
+
+    Joints that a table does not name are where the problem's own goal has them; `horizon` is H.
+    """
     mechanism, space = capabilities_of(problem.dynamics).mechanism, space_of(problem.dynamics)
     if isinstance(goal, str):
         if mechanism is None:
             raise PlannerError(f"goal is {short_repr(goal)}, expected a state: the machine has no keyframes.")
         return mechanism.keyframe(goal)
+    if isinstance(goal, Mapping):
+        own = tracking_of(problem.cost)
+        if mechanism is None or own is None:
+            raise PlannerError("goal is a table of joints, expected a state: the machine has no joints with names.")
+        return states("goal", with_joints("goal", goal, mechanism, own.x_ref[-1]), space, ())
     if mechanism is not None and np.shape(goal) == (mechanism.nq,) != (space.nx,):
         goal = np.concatenate([numbers("goal", goal), np.zeros(space.nx - mechanism.nq)])
     return states("goal", goal, space, () if np.ndim(goal) < 2 else (horizon + 1,))
+
+
+def is_of_frames(goal: Any) -> bool:
+    """Whether a goal is a table of frames: it has positions, whose three numbers no joint has."""
+    return isinstance(goal, Mapping) and any(_is_position(at) for at in goal.values())
+
+
+def _is_position(at: Any) -> bool:
+    try:
+        return np.shape(at)[-1:] == (3,)
+    except ValueError:  # a list of unequal lists, which is refused as a position
+        return True
 
 
 def goal_stays(problem: Problem) -> bool:

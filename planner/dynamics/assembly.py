@@ -6,15 +6,17 @@ minimum-norm steps, so the result is close to the given pose.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import array, choice, number
 from planner.base.errors import PlannerError
 from planner.dynamics.loops import jacobian, misses
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.couplings import CLOSED, check_closed, closed_state
-from planner.model.mechanism import Mechanism
+from planner.model.mechanism import BALL, Mechanism
 
 _CLOSE = 1e-13  # m or rad, closure error at convergence
 _STEPS = 100  # largest number of Gauss-Newton iterations; five suffice close to a solution
@@ -92,6 +94,31 @@ def assembled_along(
         except PlannerError:
             pass
     return assembled(mechanism, x, given, name)
+
+
+def with_joints(name: str, table: Mapping[str, Any], mechanism: Mechanism, base: np.ndarray) -> np.ndarray:
+    """The assembled state (nx,) of `base` (nx,) with the positions of some joints changed.
+
+    Args:
+        name: What it is, for messages.
+        table: By joint, rad or m; four numbers of a ball joint, seven of a free one.
+        mechanism: The machine.
+        base: Where the other joints are.
+
+    Raises:
+        PlannerError: No such joint, another number of positions, or joints that the others cannot follow.
+    """
+    x, given = base.copy(), set()
+    for joint, position in table.items():
+        links = mechanism.joint(choice(f"a joint in {name}", joint, [n for n in mechanism.joint_names if n]))
+        place = int(mechanism.q_address[links.start])
+        size = 7 if links.stop - links.start == 6 else 4 if mechanism.kind[links.start] == BALL else 1
+        label = f"{name} of {joint}"
+        given.add(links.start)
+        x[place : place + size] = array(label, position, (size,)) if size > 1 else number(label, position)
+    x = assembled_along(mechanism, base, x, given, name)
+    check_assembled(name, x, mechanism)
+    return x
 
 
 def _free(mechanism: Mechanism, given: Collection[int]) -> np.ndarray:

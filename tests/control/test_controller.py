@@ -9,7 +9,7 @@ from scipy.linalg import solve_discrete_are
 
 import planner
 from planner.control.control_laws import FallbackControl, equilibrium_control
-from planner.control.controller_states import ControllerStatus
+from planner.control.controller_states import ControllerStatus, EventCode
 from planner.control.judging import judge
 from planner.control.window_parts import SETTLING_TIME, holding_stage_weights, state_after
 
@@ -144,6 +144,22 @@ def test_a_goal_that_moves_is_reached(problem):
     xs = driven(c, 3 * N)
     assert np.abs(xs[-1] - [1.2, 0.4, 0, 0]).max() < 0.05
     np.testing.assert_array_equal(c.goal, [1.2, 0.4])
+
+
+def test_a_table_of_joints_is_a_goal_and_the_others_stay_at_the_problems(problem):
+    tables, numbers = planner.Controller(problem), planner.Controller(problem)
+    tables.goal = {"elbow": 0.4}
+    numbers.goal = [problem.cost.x_ref[-1, 0], 0.4]
+    np.testing.assert_array_equal(driven(tables, 5), driven(numbers, 5))  # bit for bit the same goal
+    assert tables.goal == {"elbow": 0.4}
+    for goal, said in (
+        ({"elbwo": 0.4}, "Did you mean 'elbow'"), ({"elbow": "far"}, "goal of elbow is 'far'"),
+        ({"elbow": [1.0, 2.0]}, "goal of elbow is"),
+    ):  # fmt: skip
+        with pytest.raises(planner.PlannerError, match=said):
+            tables.goal = goal
+    tables.goal = {"elbow": 1e300}  # no error, as of positions
+    assert tables.events[-1].code is EventCode.GOAL
 
 
 def test_more_iterations_and_a_budget(problem):

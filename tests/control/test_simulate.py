@@ -115,6 +115,13 @@ def test_a_moving_goal_is_followed(controller):
     assert verdict.sections["follows"].measured[0].value < 0.1
 
 
+def test_a_joint_that_moves_is_followed(controller):
+    moving = planner.Controller(controller.problem)
+    goal = lambda t: {"elbow": 0.3 + 0.1 * np.sin(t)}  # noqa: E731
+    verdict = judge(planner.simulate(moving, latency=0.0, duration=5.0, goal=goal))
+    assert verdict.sections["follows"].measured[0].value < 0.1
+
+
 def test_a_goal_that_is_known_ahead_is_followed_more_closely(controller):
     dt = controller.problem.dynamics.dt
 

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import array, choice, did_you_mean, number, short_repr
+from planner.base.arguments import array, did_you_mean, short_repr
 from planner.base.errors import PlannerError
-from planner.dynamics.assembly import assembled, assembled_along, check_assembled
+from planner.dynamics.assembly import assembled, with_joints
 from planner.dynamics.rigid_body import RigidBodyDynamics
 from planner.model.capabilities import floating_dofs
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.couplings import CLOSED, check_closed
-from planner.model.mechanism import BALL, Mechanism
+from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.costs.tracking import states
 
@@ -41,7 +41,9 @@ def state_of(
     whole pose by more than MOVED a sentence is added to the notes.
     """
     nq, nv = mechanism.nq, mechanism.nv
-    x, given, most = base.copy(), set(), CLOSED
+    if isinstance(value, dict):
+        return states(name, with_joints(name, value, mechanism, base), mechanism.space, ())
+    x, most = base.copy(), CLOSED
     if isinstance(value, str):
         poses = {HOME: mechanism.home} | mechanism.keyframes
         if value not in poses:
@@ -53,27 +55,15 @@ def state_of(
             raise PlannerError(f"{name} has {len(value)} numbers, expected {states_of(mechanism)}.")
         x[nq:] = 0.0
         x[: len(value)], most = array(name, value, ("n",)), SOFT
-    elif isinstance(value, dict):
-        for joint, position in value.items():
-            links = mechanism.joint(choice(f"a joint in {name}", joint, [n for n in mechanism.joint_names if n]))
-            place = int(mechanism.q_address[links.start])
-            size = 7 if links.stop - links.start == 6 else 4 if mechanism.kind[links.start] == BALL else 1
-            label = f"{name} of {joint}"
-            given.add(links.start)
-            x[place : place + size] = array(label, position, (size,)) if size > 1 else number(label, position)
     else:
         raise PlannerError(f"{name} is {short_repr(value)}, expected {states_of(mechanism)}.")
-    if isinstance(value, dict):
-        x = assembled_along(mechanism, base, x, given, name)
-        check_assembled(name, x, mechanism, most)
-    else:
-        check_closed(name, x, mechanism, most)
-        told, x = x, assembled(mechanism, x, name=name)
-        moved = mechanism.space.difference(x, states(name, told, mechanism.space, ()))[:nv]
-        if notes is not None and mechanism.has_closed_chains and np.abs(moved).max() > MOVED:
-            most = int(np.argmax(np.abs(moved)))
-            place = coordinates_of_mechanism(mechanism)[most]
-            notes.append(f"{name} is moved so that its chains close, {place.name} by {moved[most]:.3g} {place.unit}.")
+    check_closed(name, x, mechanism, most)
+    told, x = x, assembled(mechanism, x, name=name)
+    moved = mechanism.space.difference(x, states(name, told, mechanism.space, ()))[:nv]
+    if notes is not None and mechanism.has_closed_chains and np.abs(moved).max() > MOVED:
+        most = int(np.argmax(np.abs(moved)))
+        place = coordinates_of_mechanism(mechanism)[most]
+        notes.append(f"{name} is moved so that its chains close, {place.name} by {moved[most]:.3g} {place.unit}.")
     return states(name, x, mechanism.space, ())
 
 
