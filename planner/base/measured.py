@@ -20,6 +20,7 @@ class Measurement:
         unit: Its unit, "" if dimensionless.
         bound: Largest value that passes; None for a value without a check.
         note: The origin of the bound, or the meaning of the value.
+        holds: Of a value that is 0 or 1, what is so where it is 0; tables then say yes or no.
     """
 
     name: str
@@ -27,6 +28,17 @@ class Measurement:
     unit: str = ""
     bound: float | None = None
     note: str = ""
+    holds: str = ""
+
+    @property
+    def words(self) -> str:
+        """The name in words, as tables have it."""
+        return self.holds or self.name.replace("_", " ")
+
+    @property
+    def yes_or_no(self) -> str:
+        """Yes or no, where the value is no quantity; else ""."""
+        return "" if not self.holds else "no" if self.value else "yes"
 
     @property
     def passed(self) -> bool:
@@ -100,10 +112,10 @@ class Section:
         """Table rows of the measured values: section, name, value, bound and "ok" or "FAIL"."""
         rows = []
         for one in self.measured:
-            bound = "" if one.bound is None else f"{one.bound:g}"
+            bound = "" if one.bound is None or one.yes_or_no else f"{one.bound:g}"
             mark = "" if one.bound is None else ("ok" if one.passed else "FAIL")
-            value = f"{one.value:.5g} {one.unit}".rstrip()
-            rows.append((self.title, one.name.replace("_", " "), value, bound, mark))
+            value = one.yes_or_no or f"{one.value:.5g} {one.unit}".rstrip()
+            rows.append((self.title, one.words, value, bound, mark))
         return rows
 
     def judged_rows(self) -> list[tuple[str, str, str, str, str]]:

@@ -164,7 +164,7 @@ def optimality(plan: Plan, problem: Problem, now: Recomputed, repeated: bool = F
     """
     done = plan.converged and (repeated or plan.status is not Status.UNRESOLVED)  # a missed goal is judged as one
     ended = 0.0 if done else 1.0
-    measured = [Measurement("not_converged", ended, "", 0.0, plan.message)]
+    measured = [Measurement("not_converged", ended, "", 0.0, plan.message, holds="converged")]
     note = "of a coordinate's range of motion, by halving each stage, carried along the closed loop"
     measured.append(Measurement(STEP_ERROR, 100.0 * step_error(plan), "%", None, note))
     if now.sweep is not None:

@@ -19,6 +19,7 @@ from planner.cases.problem_file import load
 from planner.model.capabilities import Capabilities
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance
+from planner.problem.default_appearance import title_of
 from planner.problem.plan import Start, Status
 from planner.problem.problem_parts import Recipe
 from planner.proof.diagnostics.suggested_fix import SuggestedFix
@@ -34,10 +35,12 @@ def plan():
 
 def test_the_verdict_comes_first_then_pictures_figures_parameters(plan, tmp_path):
     Image.new("RGB", (4, 4)).save(tmp_path / "strip.png")
+    Image.new("RGB", (4, 5)).save(tmp_path / "proof.png")
     text = page_of(plan, proof_of(), tmp_path, "Not asked for.").text
     expected = (
-        "PASS", "(open-loop); feasible, optimal, robust with its gains", "Video", "Not asked for.",
-        "Within every bound.", "Beside the verdict: without friction loss.", "Not checked: whether the model",
+        "PASS", "(open-loop); feasible, optimal, robust with its gains", "Poses over the motion. Not asked for.",
+        "Within every bound.", "What the verdict does not cover: without friction loss.",
+        "Not checked: whether the model",
         "same step (Contact <is> solved otherwise)", "Pictures", "Proof", "Code verification",
         "Mass matrix", "3e-14", "≤ 1e-10", "pass", "Contact <is> solved otherwise.", "Solution verification",
         "0.002 in", "1.5 1/s", "shown", "Validation", "No experiment was made", "Solver",
@@ -57,6 +60,31 @@ def test_the_first_screen_has_verdict_and_film_and_the_rest_is_folded(plan, tmp_
     assert not any(words in first for words in ("<svg", "<table"))
     folded = re.findall(r'class="part"><summary>([^<]*)', text)
     assert folded == ["Curves", "Proof", "How it was made"]
+
+
+def test_a_picture_takes_the_place_of_a_film_that_was_not_made(plan, tmp_path):
+    """The panel was empty but for a sentence where a browser has no 3-D view."""
+    Image.new("RGB", (4, 4)).save(tmp_path / "plots.png")
+    text = write_report(plan, proof_of(), tmp_path, "Not asked for.").read_text(encoding="utf-8")
+    motion, _, _ = text[text.index('<div class="motion">') :].partition('<div class="notes">')
+    assert motion.count("<img src=") == text.count("<img src=") == 1  # and nowhere twice
+    assert "the convergence of the solver. Not asked for.</figcaption>" in motion
+
+
+def test_a_yes_or_no_is_answered_and_has_no_bound(plan, tmp_path):
+    """Not converged: 0, at most 0, pass, was read as a failure."""
+    ended = Measurement("not_converged", 0.0, "", 0.0, "done", holds="converged")
+    text = page_of(plan, proof_of(optimality=Section("optimal", (ended,))), tmp_path).text
+    assert re.search(r"Converged\s*done\s*yes\s*pass", text)
+    assert Section("optimal", (ended,)).rows() == [("optimal", "converged", "yes", "", "ok")]
+    failed = replace(ended, value=1.0)
+    assert Section("optimal", (failed,)).rows() == [("optimal", "converged", "no", "", "FAIL")]
+
+
+def test_a_model_without_a_name_is_called_as_its_file(plan, tmp_path):
+    problem = SimpleNamespace(appearance=None, dynamics=None, twin=SimpleNamespace(origin={"path": "a/Arm 7.xml"}))
+    assert title_of(problem) == "Arm 7"
+    assert title_of(SimpleNamespace(appearance=None, dynamics=None, twin=None)) == "Plan"
 
 
 def test_the_page_names_every_section_that_was_not_run_and_says_nothing_twice(plan, tmp_path):

@@ -5,32 +5,32 @@
   const figure = document.getElementById("view"), film = document.querySelector("video");
   if (!figure) return;
   const canvas = figure.querySelector("canvas"), probe = document.createElement("canvas");
-  const movie = film && film.closest("figure");
-  if (!(probe.getContext("webgl2"))) return;  // the page keeps its film
+  const movie = document.querySelector(".motion > figure:not(#view)"), name = film ? "Film" : "Picture";
+  if (!(probe.getContext("webgl2"))) return;  // the page keeps its film, or the picture in its place
 
   const unpack = (text, Kind) => new Kind(Uint8Array.from(atob(text), c => c.charCodeAt(0)).buffer);
   const data = JSON.parse(document.getElementById("view-data").textContent);
   const first = data.t[0], last = data.t[data.t.length - 1], frames = data.t.length;
 
-  // Film or view: one of them is seen.
+  // Film, or a picture in its place, or view: one of them is seen.
   const tabs = Object.assign(document.createElement("p"), {className: "bar", id: "view-tabs"});
   let started = false;
   function show(which) {
-    if (movie) movie.hidden = which !== "Film";
-    figure.hidden = which === "Film";
+    if (movie) movie.hidden = which !== name;
+    figure.hidden = which === name;
     [...tabs.children].forEach(one => one.setAttribute("aria-pressed", one.textContent === which));
     if (!figure.hidden && film) film.pause();
     if (!figure.hidden && !started) { started = true; start(); }
   }
   if (movie) {
-    for (const name of ["Film", "3-D view"]) {
-      const button = Object.assign(document.createElement("button"), {type: "button", textContent: name});
-      button.addEventListener("click", () => show(name));
+    for (const which of [name, "3-D view"]) {
+      const button = Object.assign(document.createElement("button"), {type: "button", textContent: which});
+      button.addEventListener("click", () => show(which));
       tabs.append(button);
     }
     movie.before(tabs);
   }
-  show(movie ? "Film" : "3-D view");
+  show(film ? name : "3-D view");
 
   function start() {
     (0, eval)(document.getElementById("three").textContent + ";globalThis.THREE = THREE;");

@@ -119,7 +119,7 @@ def _intended(proof: Proof) -> str:
 
 def _open(proof: Proof) -> str:
     """Open questions."""
-    phrases = [f"Beside this verdict: {'; '.join(proof.not_checked)}." if proof.not_checked else ""]
+    phrases = [f"The verdict does not cover: {'; '.join(proof.not_checked)}." if proof.not_checked else ""]
     found = proof.monte_carlo
     if found is None or not found.done:
         phrases.append("No machine that differs was simulated.")

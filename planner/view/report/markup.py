@@ -104,7 +104,7 @@ def _quantity(value: float, unit: str) -> str:
 
 def _name(one: Measurement) -> str:
     """The key of a measured number in words."""
-    return _capital(re.sub(r"\brms\b", "RMS", one.name.replace("_", " ")))
+    return _capital(re.sub(r"\brms\b", "RMS", one.words))
 
 
 def _capital(text: str) -> str:

@@ -21,7 +21,7 @@ from planner.base.files import PathLike, file_error
 from planner.cases import CASES, problem_file
 from planner.cases.problem_file.keys import RESOLVED
 from planner.cases.problem_file.resolved_defaults import resolved_defaults
-from planner.problem.default_appearance import appearance_of
+from planner.problem.default_appearance import appearance_of, title_of
 from planner.problem.plan import Plan
 from planner.solvers.options import SolverOptions
 from planner.view.plots.case_pictures import case_pictures
@@ -67,14 +67,15 @@ def write_report(
         FileError: The page cannot be written, or a picture cannot be read.
     """
     folder = Path(folder)
-    heading = appearance_of(plan.problem).title or plan.case or "Plan"
+    heading = title_of(plan.problem)
     verdict, curves = _verdict(proof), Markup(interactive(plan, proof))
+    film, of_case = _film(plan, proof, folder, video_note), "" if plan.case == problem_file.NAME else plan.case
     return write_page(
         folder / NAME, "report.html", title=f"{'FAIL' if proof is None else proof.verdict}: {heading}", heading=heading,
-        verdict=verdict, notes=_notes(plan, proof, fixes), film=_film(plan, proof, folder, video_note),
-        view=_view(plan, proof), curves=curves, pictures=_pictures(plan, proof, folder, with_curves=not curves),
+        verdict=verdict, notes=_notes(plan, proof, fixes), film=film, view=_view(plan, proof), curves=curves,
+        pictures=_pictures(plan, proof, folder, with_curves=not curves, still=film.still),
         assessment=() if proof is None else assessment(plan, proof), refinement=_refinement(path), solver=_solver(plan),
-        case=plan.case, parameters=_parameters(plan), chosen=resolved_defaults(plan.parameters),
+        case=of_case, parameters=_parameters(plan), chosen=resolved_defaults(plan.parameters),
         command=command(plan, path, options), problem_file=problem_text(plan, path),
         seeds=_seeds(plan, proof, options or {}), versions=plan.versions,
         model="" if plan.twin is None else plan.twin.mjcf.strip(),
@@ -90,10 +91,11 @@ class _Verdict(NamedTuple):
 
 
 class _Film(NamedTuple):
-    """A film, a file beside the page or a data URL, and its caption; or why there is none."""
+    """A film, a file beside the page or a data URL, and its caption; or a picture in its place, and why."""
 
     source: str
     words: str
+    still: str = ""
 
 
 class _Note(NamedTuple):
@@ -129,7 +131,7 @@ def _notes(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> li
         notes.append(("The solver did not converge", plan.message))
     if proof is not None:
         if proof.remarks:
-            notes.append(("Beside the verdict", f"{'; '.join(proof.remarks)}."))
+            notes.append(("What the verdict does not cover", f"{'; '.join(proof.remarks)}."))
         notes.append(("Not checked", f"{'; '.join(_unchecked(proof))}."))
     return [_Note(label, *split_after_word(text, FOLDED)) for label, text in notes]
 
@@ -146,12 +148,14 @@ def _unchecked(proof: Proof) -> Iterator[str]:
 
 
 def _film(plan: Plan, proof: Proof | None, folder: Path, note: str) -> _Film:
-    """The film, or why there is none."""
+    """The film; without one poses or curves, and why."""
     file = folder / "video.mp4"
     beside = file.is_file() and file.stat().st_size > _EMBEDDED
     video = "video.mp4" if beside else embedded(file, "video/mp4")
     if not video:
-        return _Film("", note or "No video was made.")
+        why = note or "No video was made."
+        stills = ((embedded(folder / name, "image/png"), caption) for name, caption in _PICTURES[:2])
+        return next((_Film("", f"{caption}. {why}", still) for still, caption in stills if still), _Film("", why))
     appearance = appearance_of(plan.problem)
     ghost = "plan" if appearance.ghost is None else appearance.ghost.label
     sides = (
@@ -174,15 +178,17 @@ def _view(plan: Plan, proof: Proof | None) -> str:
         return ""
 
 
-def _pictures(plan: Plan, proof: Proof | None, folder: Path, *, with_curves: bool) -> list[tuple[str, str]]:
-    """Sources and captions of the folder's pictures; plots.png only where the page has not drawn its curves already."""
+def _pictures(
+    plan: Plan, proof: Proof | None, folder: Path, *, with_curves: bool, still: str
+) -> list[tuple[str, str]]:  # fmt: skip
+    """Sources and captions of the folder's pictures without `still`; plots.png only if its curves are not drawn."""
     own = {} if proof is None else case_pictures(plan, proof.replay)
     first, *others = _PICTURES
     named = (first, *((name, picture.caption) for name, picture in own.items()), *others)
     found = [
         (embedded(folder / name, "image/png"), caption) for name, caption in named if with_curves or name != CURVES
     ]
-    return [(source, caption) for source, caption in found if source]
+    return [(source, caption) for source, caption in found if source not in ("", still)]
 
 
 def _refinement(path: Sequence[Refinement]) -> str:
@@ -232,7 +238,7 @@ def embedded(file: Path, kind: str) -> str:
 def write_loop_page(verdict: LoopVerdict, folder: Path, video_note: str = "") -> Path:
     """Write report.html into a folder, with loop.png and video.mp4 in it as far as they lie there."""
     run = verdict.loop
-    heading = f"{appearance_of(run.controller.problem).title or 'Loop'}, in the loop"
+    heading = f"{title_of(run.controller.problem, 'Loop')}, in the loop"
     words = verdict.headline.removeprefix(verdict.verdict).strip(" ;,")
     settings = {
         name.replace("_", " "): value for name, value in run.errors.items() if value not in (None, 0.0, False, [])
