@@ -111,5 +111,5 @@ def proof_of(verdict="PASS", mode="open-loop", **sections):
         verdict=verdict, passed=verdict == "PASS", mode=mode, reason="Within every bound.", sections=every, replay=None,
         headline=f"{verdict} ({mode}), {remarks[0]}; {results}", results=results, remarks=remarks,
         planned_without=(), misleads=False, not_checked=remarks, monte_carlo=None, held=None, replays={},
-        lost_with_gains=(),
+        lost_with_gains=(), own_step="",
     )  # fmt: skip

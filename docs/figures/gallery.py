@@ -49,8 +49,9 @@ def entry(title: str, command: str, asked: ProblemFile, pictures: Path) -> str:
     planner.render_strip(proof.replay, pictures / f"{name}.png", poses=SHOWN, width=SIZE[0], height=SIZE[1])
     print(title, proof.headline, flush=True)
     text = f"## {title.capitalize()}\n\n![{title}](figures/gallery/{name}.png)\n\n"
+    own_step = f" {proof.own_step}" if proof.own_step else ""
     iterations = plan.total_iterations if of_cycles else plan.nit
-    return f"{text}`{command}`\n\n{proof.headline}. {plan.N} stages, {iterations} iterations.\n"
+    return f"{text}`{command}`\n\n{proof.headline}. {plan.N} stages, {iterations} iterations.{own_step}\n"
 
 
 def main(folder: Path) -> None:

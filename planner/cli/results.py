@@ -273,5 +273,5 @@ def show_proof(proof: Proof, fixes: Sequence[SuggestedFix], console: Console, wh
             console.write_result(f"{section.title}: not applicable, {section.not_applicable}")
     for line in proof.monte_carlo.lines() if proof.monte_carlo is not None else ():
         console.write_result(line)
-    console.write_result(f"\n{proof.headline}\n{proof.reason}")
+    console.write_result("\n".join(["", proof.headline, proof.reason, *filter(None, [proof.own_step])]))
     show_fixes(fixes, console)

@@ -2,7 +2,7 @@
 
 The other replays take RK4 at a refined step, so that they judge the plan and not a simulator's step. Here the controls
 are those of the stage at each time, and the gains act on the exact state at 500 Hz, or at every step of a coarser file.
-Shown, never judged: an error beyond the bounds of the path, or a unmet goal, is said in the first line.
+Shown, never judged: an error beyond the bounds of the path, or an unmet goal, is said in a line below the verdict.
 """
 
 from __future__ import annotations
@@ -27,18 +27,20 @@ from planner.proof.replays.simulation import MAX_STEPS, simulate
 
 NAME = "own_step_errors"
 _ROUNDING = 1e-9  # of a stage or step
+_WRITTEN = {"EULER": "Euler", "RK4": "RK4", "IMPLICIT": "implicit", "IMPLICITFAST": "implicitfast"}  # in a file
 
 
 def own_step(plan: Plan, problem: Problem, run: Replay, goals: Sequence[GoalCheck]) -> list[Measurement]:
     """Errors at the file's own step, open loop and with gains, where that is not the step of a replay `run` in it.
 
-    The first measurement counts what is beyond its bound; its note says so for the first line.
+    The first measurement counts the modes in which something is beyond its bound; its note says so, and by which option
+    the file repeats the replay `run`.
     """
     compiled, dt = run.compiled, problem.dynamics.dt
     h = float(compiled.model.opt.timestep)
     M = math.ceil(plan.N * dt / h - _ROUNDING)
     integrator = load_mujoco().mjtIntegrator(compiled.model.opt.integrator).name.removeprefix("mjINT_")
-    step = f"{h:.3g} s {'Euler' if integrator == 'EULER' else integrator}"
+    step = f"{h:.3g} s {_WRITTEN[integrator]}"
     if integrator == run.integrator and abs(h - run.timestep) <= _ROUNDING * h:
         return [Measurement(NAME, 0.0, "", None, f"none beside the above: your file's own step is {step}, too")]
     if M > MAX_STEPS:
@@ -52,9 +54,11 @@ def own_step(plan: Plan, problem: Problem, run: Replay, goals: Sequence[GoalChec
     )
     how = {"with gains": with_gains, "open loop": open_loop}
     bad = {mode: text for mode, (_, text) in how.items() if text}
-    first = next(iter(bad), "")
-    said = f"{first} {bad.get(first)}" + (", not with gains" if first == "open loop" else "")
-    note = f"at your file's own step {step}: {said}" if bad else f"none, at your file's own step {step}"
+    said = " and ".join(f"{mode} {text}" for mode, text in bad.items())
+    said += "".join(f", not {mode}" for mode in how if bad and mode not in bad)
+    note = (
+        f"at your file's own step {step}: {said}; {_judged_by(run)}" if bad else f"none, at your file's own step {step}"
+    )
     return [
         Measurement(NAME, float(len(bad)), "", None, note),
         *(
@@ -63,6 +67,14 @@ def own_step(plan: Plan, problem: Problem, run: Replay, goals: Sequence[GoalChec
             for mode, (errors, _) in how.items() for one in errors
         ),
     ]  # fmt: skip
+
+
+def _judged_by(run: Replay) -> str:
+    """How the replay that was judged was simulated; MuJoCo's integrators as the file has them."""
+    if run.integrator not in _WRITTEN:
+        return f"it was judged at a step of {run.timestep:.3g} s"
+    option = f'`<option timestep="{run.timestep:.6g}" integrator="{_WRITTEN[run.integrator]}"/>`'
+    return f"your file repeats it with {option}, by which it was judged"
 
 
 def _planned(plan: Plan, problem: Problem, t: np.ndarray, stage: np.ndarray) -> np.ndarray:

@@ -36,7 +36,6 @@ from planner.proof.feedback_rate import controller_section, slowest_rate
 from planner.proof.goal_regulator import RegulatedRun, hold_gain, hold_section, simulate_regulator
 from planner.proof.original_model import PATH_IN_FILE, your_file
 from planner.proof.original_model import TITLE as FILE
-from planner.proof.own_step import NAME as OWN_STEP
 from planner.proof.replay_errors import goal, tracking
 from planner.proof.replays.compiled_twin import another_model, unmodelled_of
 from planner.proof.replays.replaying import Replay, replay_in, twin_of
@@ -268,9 +267,8 @@ def _stands_at_goal(plan: Plan, problem: Problem) -> bool:
 
 
 def _said_in_file(given: Section) -> tuple[str, ...]:
-    """What is off in the user's file and is not judged: its own step, and the path of a plan with contacts."""
-    above = {OWN_STEP: 0.0, PATH_IN_FILE: 1.0}
-    return tuple(one.note for one in given.measured if given.passed and one.value > above.get(one.name, math.inf))
+    """What is off in the user's file and is not judged: the path of a plan with contacts."""
+    return tuple(one.note for one in given.measured if given.passed and one.name == PATH_IN_FILE and one.value > 1.0)
 
 
 def _unjudged(plan: Plan, problem: Problem) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ direction lowers the cost. Then what the plan may be used for:
 
 "planned without ..." lists elements of the user's file that the plan's model lacks; step 6 replayed the plan with them.
 "though half as long stages ..." of a solve that ended UNRESOLVED: MuJoCo's finer steps repeat its plan all the same.
+What only concerns a simulation at the file's own step, which is not the one of the proof, is in `own_step`.
 "without ..." lists elements of no replay: pairs that overlap at the start, or all if the file was not replayed.
 """
 
@@ -31,6 +32,7 @@ from planner.problem.progress import Status
 from planner.proof.consistency import STEP_ERROR
 from planner.proof.error_propagation import ErrorPropagation
 from planner.proof.goal_regulator import RegulatedRun
+from planner.proof.own_step import NAME as OWN_STEP
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import JUDGED, RobustnessResult
@@ -153,6 +155,13 @@ class Proof(Renderable):
         return tuple(filter(None, (tested, self._step_error, *self.not_checked)))
 
     @property
+    def own_step(self) -> str:
+        """A sentence where the file's own step and integrator simulate the plan otherwise than it was judged; or ""."""
+        given = self.sections["your_file"]
+        note = next((one.note for one in given.measured if one.name == OWN_STEP and one.value > 0.0), "")
+        return f"{note[0].upper()}{note[1:]}." if note and given.passed else ""
+
+    @property
     def _step_error(self) -> str:
         if not self.passed or self.replay.plan.status is not Status.UNRESOLVED:
             return ""
@@ -194,7 +203,7 @@ class Proof(Renderable):
         """All measurements with their bounds, one line each, then the verdict."""
         lines = aligned([("step", "measured", "value", "bound", ""), *self.rows()])
         more = [] if self.monte_carlo is None else self.monte_carlo.lines()
-        return "\n".join([*lines, *more, str(self)])
+        return "\n".join([*lines, *more, str(self), *filter(None, [self.own_step])])
 
     def to_dict(self) -> dict[str, Any]:
         """The proof as JSON values: proof.json."""
@@ -207,6 +216,7 @@ class Proof(Renderable):
         head = {
             "verdict": self.verdict, "mode": self.mode, "headline": self.headline, "feasible": self.feasible,
             "optimal": self.optimal, "robustness": self.robustness,
-            "planned_without": list(self.planned_without), "not_checked": list(self.not_checked), "reason": self.reason,
+            "planned_without": list(self.planned_without), "not_checked": list(self.not_checked),
+            "own_step": self.own_step, "reason": self.reason,
         }  # fmt: skip
         return {**head, **dicts_of(self.sections), "asked": self.asked, "monte_carlo": found, "simulator": simulator}

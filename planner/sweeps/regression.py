@@ -272,13 +272,15 @@ def _changes(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> I
 
 
 def _words(stored: dict[str, Any], now: dict[str, Any], tolerance: float) -> Iterator[NumberChange]:
-    """Changes of feasible, optimal, robustness and not checked."""
+    """Changes of feasible, optimal, robustness, the file's own step and not checked."""
     for word in ("feasible", "optimal"):
         if isinstance(was := stored.get(word), bool) and was is not now[word]:
             yield NumberChange("headline", word, _yes(was), _yes(now[word]), None, was)
     was, robustness = stored.get("robustness"), now["robustness"]
     if isinstance(was, str) and was != robustness:
         yield NumberChange("headline", "robustness", was, robustness, None, was == "robust")
+    if stored.get("own_step") == "" and now.get("own_step"):
+        yield NumberChange("headline", "own step", None, now["own_step"], None, True)
     if not isinstance(unchecked := stored.get("not_checked"), list):
         return
     phrases = list(map(str, unchecked)), list(now["not_checked"])

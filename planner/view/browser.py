@@ -91,7 +91,7 @@ class Replanner:
             self._show()
         if not self._changed.is_set():
             proof = prove(self._plan, rollouts=0)
-            self.replay, self.words = proof.replay, f"**{proof.headline}**.{self._took}"
+            self.replay, self.words = proof.replay, f"**{proof.headline}**. {proof.own_step}{self._took}"
 
     def _show(self) -> None:
         assert self._plan.twin is not None

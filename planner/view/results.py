@@ -41,7 +41,7 @@ def html_of(result: Plan | Replay | Proof) -> str:
     if isinstance(result, Proof):
         colour = _AMBER if result.misleads else _GREEN if result.passed else _RED
         word, rest = result.verdict, result.headline[len(result.verdict) :]
-        text, figure = result.reason, draw_plan(result.replay.plan, result)
+        text, figure = f"{result.reason} {result.own_step}".strip(), draw_plan(result.replay.plan, result)
     elif isinstance(result, ClosedLoopRun):
         judged = judge(result)
         word, colour, rest = judged.verdict, _GREEN if judged.passed else _RED, judged.headline[len(judged.verdict) :]

@@ -29,13 +29,15 @@ def test_a_step_is_told_by_its_failures_or_the_number_nearest_to_its_bound():
 def test_a_proof_is_printed_by_steps_or_whole(verbose, capsys):
     sections = {one.title: one for one in (FINE, WRONG, SHOWN)}
     rows = [row for one in sections.values() for row in one.rows()]
-    proof = SimpleNamespace(sections=sections, rows=lambda: rows, monte_carlo=None, headline="FAIL", reason="missed.")
+    words = {"headline": "FAIL", "reason": "missed.", "own_step": "At its own step."}
+    proof = SimpleNamespace(sections=sections, rows=lambda: rows, monte_carlo=None, **words)
     show_proof(proof, [], Console(verbose=verbose))  # pyright: ignore
     printed = capsys.readouterr().out
     assert ("nearest to its bound" in printed) is not verbose
     assert ("growth" in printed) is verbose
     assert printed.count("FAIL") == 3  # of two rows, and the verdict
-    assert len(printed.splitlines()) == (14 if verbose else 9)
+    assert len(printed.splitlines()) == (15 if verbose else 10)
+    assert printed.endswith("FAIL\nmissed.\nAt its own step.\n")  # a line of its own
 
 
 def test_a_line_of_progress_takes_the_place_of_the_last_one_at_a_terminal(capsys):

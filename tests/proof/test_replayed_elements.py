@@ -1,5 +1,6 @@
 """What was taken out of a plan's model is in the replay of the user's file, or the first line says that it is not."""
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -180,11 +181,19 @@ def test_the_files_own_step_is_shown_and_said_where_it_fails():
     turned = arm(option='<option timestep="{}"/>').replace('axis="0 0 1"', 'axis="0 1 0"')
     coarse = proof_of(plan_of(turned.format(0.01), [1.5]))
     assert coarse.passed, coarse.reason
-    assert "at your file's own step 0.01 s Euler: with gains 0.0" in coarse.headline
+    said = coarse.own_step
+    assert said.startswith("At your file's own step 0.01 s Euler: with gains 0.0")
+    assert "own step" not in coarse.headline  # which would contradict itself
+    assert said in coarse.table()
+    assert coarse.to_dict()["own_step"] == said
+    written = re.search(r'<option timestep="[0-9.]+" integrator="RK4"/>', said)[0]
+    mended = proof_of(plan_of(turned.replace('<option timestep="{}"/>', written), [1.5]))  # as the sentence says
+    assert mended.passed
+    assert mended.own_step == ""
     measured = {one.name: one.value for one in coarse.your_file.measured}
     assert measured["own_step_open_loop_angle_error"] > measured["own_step_with_gains_angle_error"] > 0.0
     fine = proof_of(plan_of(turned.format(0.0001), [1.5]))
-    assert "own step" not in fine.headline
+    assert fine.own_step == ""
     assert {one.name: one.note for one in fine.your_file.measured}["own_step_errors"] == (
         "none, at your file's own step 0.0001 s Euler"
     )

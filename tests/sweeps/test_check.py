@@ -114,6 +114,14 @@ def test_phrases_are_compared_by_their_words_and_the_values_in_them(before, outc
     assert [one.regressed for one in changes] == outcome
 
 
+@pytest.mark.parametrize(("before", "regressed"), [("", [True]), ("At its own step.", []), (None, [])])
+def test_a_plan_that_the_files_own_step_no_longer_repeats_is_a_regression(before, regressed):
+    document = {"verdict": "PASS", "mode": "feedback", "feasible": True, "optimal": True, "robustness": ""}
+    now = document | {"not_checked": [], "own_step": "At its own step."}
+    stored = document | {"not_checked": []} | ({} if before is None else {"own_step": before})  # None: an older file
+    assert [one.regressed for one in regression._changes(stored, now, 0.05)] == regressed
+
+
 @pytest.mark.parametrize(
     ("one", "other", "same"),
     [

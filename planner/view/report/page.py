@@ -132,6 +132,8 @@ def _notes(plan: Plan, proof: Proof | None, fixes: Sequence[SuggestedFix]) -> li
     if proof is not None:
         if proof.remarks:
             notes.append(("What the verdict does not cover", f"{'; '.join(proof.remarks)}."))
+        if proof.own_step:
+            notes.append(("In your own simulation", proof.own_step))
         notes.append(("Not checked", f"{'; '.join(_unchecked(proof))}."))
     return [_Note(label, *split_after_word(text, FOLDED)) for label, text in notes]
 
