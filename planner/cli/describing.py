@@ -31,7 +31,7 @@ def describe_model(arguments: argparse.Namespace, console: Console) -> int:
         raise PlannerError("--out is empty, expected the name of a folder.")
     arguments.model = str(model_location(arguments.model))
     with ThreadPoolExecutor(1) as beside:  # MuJoCo compiles in a child while this process imports
-        opening = beside.submit(opened_model, arguments.model)
+        opening = beside.submit(opened_model, arguments.model, arguments.package_path)
         from planner.problem.description import describe
 
         file, keys = opening.result()

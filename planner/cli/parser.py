@@ -123,6 +123,7 @@ def _model(parser: argparse.ArgumentParser) -> None:
         parser,
         {"model": {"metavar": "FILE", "help": "An MJCF or URDF file."},
          "--write": value_flag("FILE", "Also write a problem file to start from, which runs as it is."),
+         "--package-path": value_flag("DIR", "Folder of the packages that a URDF names."),
          "--out": value_flag("DIR", "Folder of the picture of its keyframes. Default: renders/MODEL."),
          "--no-picture": boolean_flag("Draw no picture (drawing needs OpenGL).")},
         COMMON,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import array, choice, number, numbers, short_repr, toml_key
+from planner.base.arguments import array, choice, did_you_mean, number, numbers, short_repr, toml_key
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.assembly import assembled
@@ -19,7 +19,7 @@ from planner.model.coordinates import ANGLE, LENGTH, Coordinate, coordinates_of,
 from planner.model.couplings import closed_state
 from planner.model.mechanism import SCREW, Mechanism
 
-OFF = "off"
+MODEL, OFF = "model", "off"
 Pair = tuple[float, float]
 
 
@@ -53,6 +53,13 @@ def component_of(name: str, value: Any, ndx: int) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < ndx:
         raise PlannerError(f"the limits' {name} has {short_repr(value)}, expected an index of 0 to {ndx - 1}.")
     return int(value)
+
+
+def check_word(name: str, value: Any, example: str) -> None:
+    """Refuse a word for limits by name that is neither MODEL nor OFF, with an example of what to write."""
+    if isinstance(value, str) and value not in (MODEL, OFF):
+        expected = f"expected numbers, e.g. {example}, or {MODEL!r} or {OFF!r}"
+        raise PlannerError(f"the limits' {name} is {value!r}, {expected}.{did_you_mean(value, (MODEL, OFF))}")
 
 
 def is_word(value: Any, word: str) -> bool:

@@ -39,10 +39,12 @@ from planner.problem.control_bounds import (
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.tracking import places
 from planner.problem.joint_limits import (
+    MODEL,
     OFF,
     Range,
     check_margin,
     check_stops,
+    check_word,
     component_of,
     is_word,
     json_value,
@@ -55,8 +57,7 @@ from planner.problem.joint_limits import (
     with_names,
 )
 
-TOLERANCE = 1e-4  # rad, m, rad/s, m/s
-MODEL, EXACT = "model", "exact"
+TOLERANCE, EXACT = 1e-4, "exact"  # rad, m, rad/s, m/s; the word
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +152,7 @@ class Limits:
         if self.control is None or is_word(self.control, OFF):
             return None
         if isinstance(self.control, str):
-            choice("the limits' control, unless numbers,", self.control, (MODEL, OFF))
+            check_word("control", self.control, "control = 5.0 or { elbow = 5.0 }, in the unit of the actuators")
             machine = with_names(mechanism, "control")
             lower, upper = model_bounds(machine, nu)
             servos = servo_bounds(machine, dynamics.dt, space_of(dynamics).ndx)
@@ -313,8 +314,7 @@ class Limits:
                 found |= {i: Range.of(*pair) for i, pair in pairs.items()}
         elif "position" in named:
             machine = mechanism
-            if isinstance(self.position, str):
-                choice("the limits' position, unless numbers,", self.position, (MODEL, OFF))
+            check_word("position", self.position, "position = { elbow = [-1.0, 1.0] }, rad or m")
             found = model_ranges(machine, self.margin)
             if is_word(self.position, MODEL) and machine.couplings:
                 wide = np.array([[one.model_lower, one.model_upper] if (one := found.get(i)) else [-np.inf, np.inf]
@@ -348,7 +348,7 @@ class Limits:
             most, found = number("the limits' velocity", given, greater_than=0.0), {}
             given = {name: most for name in machine.joint_names if name}
         if isinstance(given, str):
-            choice("the limits' velocity, unless numbers,", given, (MODEL, OFF))
+            check_word("velocity", given, "velocity = 2.0 or { elbow = 2.0 }, rad/s or m/s")
             return found
         for joint, value in given.items():
             links = machine.joint(joint)

@@ -139,7 +139,10 @@ def stages_of(duration: Any, dt: Any) -> tuple[float, int]:
     """The checked dt, s, and the number of stages in a duration, s, which has to be a whole one."""
     duration, dt = number("duration", duration, greater_than=0.0), number("dt", dt, greater_than=0.0)
     if not duration / dt < MAX_STAGES + 0.5:
-        raise PlannerError(f"duration / dt is {duration / dt:.4g}, expected at most {MAX_STAGES} stages.")
+        raise PlannerError(
+            f"duration is {duration:g} s and dt {dt:g} s, {duration / dt:.4g} stages, expected at most {MAX_STAGES}; "
+            "both are in s."
+        )
     N = round(duration / dt)
     if N < 1 or abs(N * dt - duration) > 1e-9 * duration:
         near = max(N, 1) * dt

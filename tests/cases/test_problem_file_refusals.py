@@ -29,7 +29,7 @@ from planner.problem.goals import goals_of
         ({"goal": '{ pole = "up" }'}, ("goal of pole",)),
         ({"duration": "-1"}, ("duration is -1",)),
         ({"duration": "1.02"}, ("duration is 1.02", "0.05", "e.g. 1")),
-        ({"duration": "1e9"}, ("duration / dt", "100000")),
+        ({"duration": "1e9"}, ("duration is 1e+09 s and dt", "100000; both are in s")),
         ({"dt": "0.0"}, ("dt is 0.0", "greater than 0")),
         ({"dt": '"fast"'}, ("dt is 'fast'",)),
         ({"integrator": '"rk5"'}, ("rk5", "rk4")),

@@ -22,7 +22,7 @@ def at(position, **more):
     ("tables", "fragments"),
     [
         ([at("[0.9, 0.0, 0.0]")], ("goal 1 (hand) is out of reach by 0.2 m", "nearest point is [0.7, 0, ", "ranges")),
-        ([at("[0.3, 0.2, -0.2]")], ("out of reach by 0.2 m", "nearest point is [0.3, 0, -0.2]")),
+        ([at("[0.3, 0.2, -0.2]")], ("by 0.2 m", "positions are in m", "nearest point is [0.3, 0, -0.2]")),
         ([at("[0.3, 0.0, -0.2]", pointing="[0, 1, 0]")], ("out of reach", "not with that orientation", "rad")),
         (
             [at("[0.3, 0, -0.2]", frame='"hnad"')],

@@ -5,11 +5,12 @@ import json
 import numpy as np
 import pytest
 from commands import refused, run
-from urdfs import inertial, joint, link
+from urdfs import inertial, joint, link, robot, shape
 
 import planner
 from planner.base.gl import backend
 from planner.cases.problem_file import load
+from planner.model.urdf.meshes import stl
 
 TEXT = """<mujoco model="lift"><worldbody>
   <body name="car"><joint name="rise" type="slide" axis="0 0 1" range="0 2" limited="true" damping="1"/>
@@ -127,3 +128,23 @@ def test_a_urdf_is_said_to_be_fixed_and_how_it_walks(tmp_path):
     (tmp_path / "arm.urdf").write_text(f'<robot name="arm">{"".join(parts)}</robot>')
     done = run("model", "arm.urdf", "--no-picture", cwd=tmp_path)
     assert 'a machine that walks wants base = "free" and floor = true' in " ".join(done.stdout.split())
+
+
+def test_the_folder_of_a_urdfs_packages_is_taken_and_written(tmp_path):
+    """As seen from the file that is written, which runs as it is."""
+    mesh = shape("collision", '<mesh filename="package://parts/ball.stl"/>')
+    upper = link("upper", inertial(), mesh)
+    text = robot(link("base", inertial()), upper, joint("hip", "base", "upper"))
+    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
+    (tmp_path / "far" / "parts").mkdir(parents=True)
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
+    (tmp_path / "far" / "parts" / "ball.stl").write_bytes(stl(corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]))
+    assert "there is no such file" in run("model", "arm.urdf", "--no-picture", cwd=tmp_path).stdout
+    (tmp_path / "tasks").mkdir()
+    words = ("--package-path", "far", "--write", "tasks/first.toml", "--no-picture")
+    done = run("model", "arm.urdf", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "there is no such file" not in done.stdout
+    assert 'package_path = "../far"' in (tmp_path / "tasks" / "first.toml").read_text(encoding="utf-8")
+    (tmp_path / "lift.xml").write_text(TEXT, encoding="utf-8")
+    refused(run("model", "lift.xml", "--package-path", "far", cwd=tmp_path), "expected it for a URDF alone")

@@ -172,7 +172,7 @@ def test_an_obstacle_may_carry_a_machine():
     [
         ({"size": 1.0}, ("no key 'shape'", *SIZES)),
         ({"shape": "bxo", "size": 1.0}, ("shape of an obstacle is 'bxo'", "Did you mean 'box'?")),
-        ({"shape": "box", "size": [1.0, 2.0]}, ("size of obstacle 'box' is [1.0, 2.0]", "three edges")),
+        ({"shape": "box", "size": [1.0, 2.0]}, ("size of obstacle 'box' is [1.0, 2.0]", "edges, m: [0.1, 0.2, 0.3].")),
         ({"shape": "sphere"}, ("size of obstacle 'sphere' is None", "radius")),
         ({"shape": "sphere", "size": -1.0}, ("is -1.0", "above 0")),
         ({"shape": "plane", "size": 1.0}, ("expected none",)),

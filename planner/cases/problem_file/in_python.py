@@ -18,6 +18,10 @@ from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of
 
+_EXAMPLES = {
+    Goal: 'a Goal, such as Goal(joints={"elbow": 1.0}) or Goal(joints="home")',
+    Follow: 'a Follow, such as Follow(frame="hand", points=[[0, 0.4, 0, 0.3], [1, 0.4, 0.1, 0.3]])',
+}
 OWN = ("model", "goal", "follow", "attach", "obstacle", "exclude")
 
 
@@ -52,6 +56,8 @@ def task(
             )
     asked = [goal_of(one, f"goal {k}") for k, one in enumerate(_several("goals", goals, Goal), 1)]
     paths = [follow_of(one, "follow") for one in _several("follow", follow, Follow)]
+    if not (asked or paths or "periodic" in keys or "gait" in keys):
+        raise PlannerError(f"goals is empty, expected {_EXAMPLES[Goal]}, or a list of them, or follow=.")
     table = {"model": "the mechanism", "start": _plain(start), "duration": duration, "title": "", **keys}
     table |= {"goal": [one.to_dict() for one in asked]} if asked else {}
     table |= {"follow": [one.to_dict() for one in paths]} if paths else {}
@@ -71,7 +77,7 @@ def task(
 def _several(name: str, value: Any, kind: type) -> list[Any]:
     value = [value] if isinstance(value, (kind, dict)) else value
     if not isinstance(value, (list, tuple)):
-        raise PlannerError(f"{name} is {short_repr(value)}, expected a {kind.__name__}, or a list of them.")
+        raise PlannerError(f"{name} is {short_repr(value)}, expected {_EXAMPLES[kind]}, or a list of them.")
     return list(value)
 
 

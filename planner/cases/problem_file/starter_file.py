@@ -64,7 +64,7 @@ def starter_text(model: str, name: str, file: ModelFile, known: Description) -> 
         raise PlannerError("no hinge or slide is driven, expected one: no goal can be proposed.")
     named = all(joint["name"] for joint in known.joints if joint["unit"])
     lines = [f"# planner run {name}", "", *_line("model", json.dumps(Path(model).as_posix()), KEYS["model"])]
-    lines += _keys(known)
+    lines += _keys(known, Path(name).parent)
     if mechanism.nu == 0:
         everything = [known.joints[j]["name"] for j in actuated_joints(mechanism)]
         lines += _line("prescribed", json.dumps(everything), "nothing drives these joints: plan their accelerations")
@@ -85,10 +85,11 @@ def starter_text(model: str, name: str, file: ModelFile, known: Description) -> 
     return "\n".join(lines)
 
 
-def _keys(known: Description) -> list[str]:
-    """The keys without which the model is refused."""
+def _keys(known: Description, beside: Path) -> list[str]:
+    """The keys without which the model is refused, folders as seen from the folder of the file."""
     lines: list[str] = []
     for key, value in known.loaded.keys.items():
+        value = Path(os.path.relpath(value, beside)).as_posix() if key == "package_path" else value
         lines += _line(key, json.dumps(value), KEYS[key])
     return lines
 

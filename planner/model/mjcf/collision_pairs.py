@@ -197,7 +197,8 @@ def _check(
     if distances[pair] <= 0.0:
         raise PlannerError(
             f"{name} is in collision: {names} overlap by {-distances[pair]:.3g} m, expected a pose where nothing "
-            "touches; move one of the two, or exclude the pair in the model (<contact><exclude>)."
+            "touches; move one of the two, or exclude the pair: `exclude` beside obstacles, <contact><exclude> in a "
+            "model."
         )
     met = {pair: distance for pair, distance in distances.items()
            if distance < clearance and can_separate(survey, pair, qpos, clearance)}  # fmt: skip

@@ -32,10 +32,11 @@ from planner.model.mjcf.text import written
 from planner.model.urdf.meshes import hull, mesh_triangles, stl
 
 SIZES = {
-    "box": (3, "its three edges"), "sphere": (1, "its radius"), "capsule": (2, "its radius and its length"),
-    "cylinder": (2, "its radius and its length"), "plane": (0, "none"), "mesh": (0, "none"),
+    "box": (3, "its three edges, m: [0.1, 0.2, 0.3]"), "sphere": (1, "its radius, m: 0.1"),
+    "capsule": (2, "its radius and its length, m: [0.1, 0.4]"),
+    "cylinder": (2, "its radius and its length, m: [0.1, 0.4]"), "plane": (0, "none"), "mesh": (0, "none"),
 }  # fmt: skip
-"""How many numbers a shape's size has, and which, m; a capsule's length is that between its caps."""
+"""How many numbers a shape's size has, and which, with an example; a capsule's length is that between its caps."""
 # Whatever the file's defaults are: MuJoCo's own values of what a default class may set.
 _PLAIN = {
     "condim": "3", "friction": "1 0.005 0.0001", "priority": "0", "solmix": "1", "solref": "0.02 1",
@@ -85,7 +86,7 @@ class Obstacle:
         """The numbers of MJCF's size, m: radii and half lengths; () for a mesh, and for a plane without an end."""
         (count, words), given = SIZES[self.shape], _positive("size", () if self.size is None else self.size)
         if len(given) != count:
-            raise PlannerError(f"size of obstacle {self.shape!r} is {short_repr(self.size)}, expected {words}, m.")
+            raise PlannerError(f"size of obstacle {self.shape!r} is {short_repr(self.size)}, expected {words}.")
         return given * (0.5 if self.shape == "box" else np.array([1.0, 0.5])[:count])
 
     @property

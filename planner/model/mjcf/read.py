@@ -209,7 +209,7 @@ def _refuse(found: list[UnsupportedElement], name: str, survey: ModelIndex) -> N
     if 0 < driving == survey.model.nu:
         left = " That leaves no actuator: put motors or servos on joints or fixed tendons, or prescribe accelerations."
     raise ModelError(
-        f"{' and '.join(ways)} loads {name} without what changes its motion and is not modelled: {what}.{left}"
+        f"{name} has what changes its motion and is not modelled: {what}; {' and '.join(ways)} loads it without.{left}"
     )
 
 

@@ -43,18 +43,24 @@ def read_model(
     )
 
 
-def opened_model(model: str | Path) -> tuple[ModelFile, dict[str, Any]]:
+def opened_model(model: str | Path, package_path: str | None = None) -> tuple[ModelFile, dict[str, Any]]:
     """A URDF or MJCF file, compiled, to be looked at, and the keys of a problem file without which it is refused.
+
+    `package_path` is a folder of packages of a URDF, which is one of these keys.
 
     Raises:
         ModelError: It cannot be read, or MuJoCo refuses it.
     """
     if not is_urdf(model):
+        if package_path is not None:
+            raise PlannerError("package_path is given for an MJCF model, expected it for a URDF alone.")
         return open_model_file(model, stored=False), {}
+    keys: dict[str, Any] = {} if package_path is None else {"package_path": package_path}
     try:
-        return open_model_file(*as_mjcf(model), stored=False), {}
+        return open_model_file(*as_mjcf(model, **keys), stored=False), keys
     except ModelError as refusal:
         for inertia in ("nearest", "from shapes"):
             with suppress(ModelError):
-                return open_model_file(*as_mjcf(model, inertia=inertia), stored=False), {"inertia": inertia}
+                nearer: dict[str, Any] = keys | {"inertia": inertia}
+                return open_model_file(*as_mjcf(model, **nearer), stored=False), nearer
         raise refusal

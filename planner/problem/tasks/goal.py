@@ -75,6 +75,9 @@ class Goal:
                 f"the goal of {self.frame!r} has orientation and pointing, expected one of them: a full orientation, "
                 "or a direction about which the frame may turn."
             )
+        if self.joints is not None and not isinstance(self.joints, (str, Mapping)) and not _are_numbers(self.joints):
+            expected = 'expected a table, {"elbow": 1.0}, the name of a keyframe, or all positions'
+            raise PlannerError(f"joints of a goal is {short_repr(self.joints)}, {expected}.")
         if not isinstance(self.through, bool):
             raise PlannerError(f"through of a goal is {short_repr(self.through)}, expected true or false.")
         if self.time is not None:
@@ -153,6 +156,14 @@ def goal_of(value: Any, name: str) -> Goal:
         return Goal(**given)
     except PlannerError as error:
         raise PlannerError(f"{name}: {error}") from None
+
+
+def _are_numbers(value: Any) -> bool:
+    try:
+        numbers("positions", value)
+    except PlannerError:
+        return False
+    return True
 
 
 def _check_subject(what: str, frame: Any, joints: Any) -> None:

@@ -261,7 +261,8 @@ def _pose(
                 words = ", ".join(f"{float(value):.4g}" for value in np.round(point, 9) + 0.0)
                 away = float(np.linalg.norm(point - target.position))
                 raise PlannerError(
-                    f"{label} is out of reach by {away:.3g} m{within}: the nearest point is [{words}] m."
+                    f"{label} is out of reach by {away:.3g} m{within}: positions are in m, and the nearest point is "
+                    f"[{words}]."
                 )
         near, alone = tried([target], {})
         if alone > 1.0:
