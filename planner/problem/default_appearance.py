@@ -12,7 +12,6 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import takewhile
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -50,12 +49,6 @@ def appearance_of(problem: Any) -> Appearance:
     if appearance is None and mechanism is not None:
         return default_appearance(mechanism, getattr(problem.dynamics, "prescribed", ()))
     return appearance or Appearance(title="")
-
-
-def title_of(problem: Any, usual: str = "Plan") -> str:
-    """The name of a problem: its appearance's title, else that of its model's file, else the usual one."""
-    origin = getattr(getattr(problem, "twin", None), "origin", {})
-    return appearance_of(problem).title or Path(origin.get("path", "")).stem or usual
 
 
 def default_appearance(mechanism: Mechanism, prescribed: Collection[str] = ()) -> Appearance:

@@ -199,11 +199,12 @@ class Plan(Built, Plottable):
 
     @property
     def name(self) -> str:
-        """Name of the built-in problem; of others the title: that of the problem file, or the model's name."""
+        """Name of the built-in problem; of others the title of the problem file, the model's name, or its file's."""
         if self.case not in (None, PROBLEM_FILE):
             return str(self.case)
         appearance = None if self.problem is None else self.problem.appearance
-        return (appearance.title if appearance is not None else "") or self.case or ""
+        origin = {} if self.twin is None else self.twin.origin
+        return (appearance.title if appearance is not None else "") or Path(origin.get("path", "")).stem
 
     @property
     def versions(self) -> dict[str, str]:

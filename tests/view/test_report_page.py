@@ -19,7 +19,6 @@ from planner.cases.problem_file import load
 from planner.model.capabilities import Capabilities
 from planner.model.mechanism import Mechanism
 from planner.problem.appearance import Appearance
-from planner.problem.default_appearance import title_of
 from planner.problem.plan import Start, Status
 from planner.problem.problem_parts import Recipe
 from planner.proof.diagnostics.suggested_fix import SuggestedFix
@@ -82,9 +81,11 @@ def test_a_yes_or_no_is_answered_and_has_no_bound(plan, tmp_path):
 
 
 def test_a_model_without_a_name_is_called_as_its_file(plan, tmp_path):
-    problem = SimpleNamespace(appearance=None, dynamics=None, twin=SimpleNamespace(origin={"path": "a/Arm 7.xml"}))
-    assert title_of(problem) == "Arm 7"
-    assert title_of(SimpleNamespace(appearance=None, dynamics=None, twin=None)) == "Plan"
+    recipe, twin = Recipe("problem-file", {}), replace(plan.twin, origin={"path": "a/Arm 7.xml"})
+    made = replace(plan, problem=None, recipe=recipe, twin=twin)
+    assert made.name == "Arm 7"
+    assert "<h1>Arm 7</h1>" in write_report(made, None, tmp_path).read_text(encoding="utf-8")
+    assert replace(made, twin=None).name == ""
 
 
 def test_the_page_names_every_section_that_was_not_run_and_says_nothing_twice(plan, tmp_path):

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.dynamics import RigidBodyDynamics, constraint_forces, constraint_names
 from planner.problem.appearance import Panel
-from planner.problem.default_appearance import appearance_of, title_of
+from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.proof.replays.replaying import Replay
 from planner.view.plots.style import (
@@ -228,7 +228,7 @@ def _head(figure: Figure, plan: Plan, replays: list[Replay], touched: bool, line
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    title_above(figure, title_of(plan.problem))
+    title_above(figure, appearance_of(plan.problem).title or plan.name or "Plan")
     handles: list[Line2D | Patch] = [Line2D([], [], color=INK, lw=1.2, ls=DASHED, label="plan")]
     for replay in replays:
         words = MODE_WORDS["feedback" if replay.feedback else "open-loop"]

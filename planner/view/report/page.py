@@ -21,7 +21,7 @@ from planner.base.files import PathLike, file_error
 from planner.cases import CASES, problem_file
 from planner.cases.problem_file.keys import RESOLVED
 from planner.cases.problem_file.resolved_defaults import resolved_defaults
-from planner.problem.default_appearance import appearance_of, title_of
+from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.solvers.options import SolverOptions
 from planner.view.plots.case_pictures import case_pictures
@@ -67,7 +67,7 @@ def write_report(
         FileError: The page cannot be written, or a picture cannot be read.
     """
     folder = Path(folder)
-    heading = title_of(plan.problem)
+    heading = appearance_of(plan.problem).title or plan.name or "Plan"
     verdict, curves = _verdict(proof), Markup(interactive(plan, proof))
     film, of_case = _film(plan, proof, folder, video_note), "" if plan.case == problem_file.NAME else plan.case
     return write_page(
@@ -240,7 +240,8 @@ def embedded(file: Path, kind: str) -> str:
 def write_loop_page(verdict: LoopVerdict, folder: Path, video_note: str = "") -> Path:
     """Write report.html into a folder, with loop.png and video.mp4 in it as far as they lie there."""
     run = verdict.loop
-    heading = f"{title_of(run.controller.problem, 'Loop')}, in the loop"
+    title = appearance_of(run.controller.problem).title or run.controller.plan.name or "Loop"
+    heading = f"{title}, in the loop"
     words = verdict.headline.removeprefix(verdict.verdict).strip(" ;,")
     settings = {
         name.replace("_", " "): value for name, value in run.errors.items() if value not in (None, 0.0, False, [])
