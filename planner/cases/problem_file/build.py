@@ -378,9 +378,8 @@ def _built(
         periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic.image, cycle),
         actual_reduction_tolerance=_gain(mechanism, cycle),
     )  # fmt: skip
-    if us is None:
-        us = first_guess(problem, table["guess"], goal, along, way and jumping_guess(way, build, given))
-    problem = replace(problem, us=us)
+    jump = jumping_guess(way, build, given) if way is not None and us is None else None
+    problem = replace(problem, us=first_guess(problem, table["guess"], goal, along, jump) if us is None else us)
     if way is not None and wanted is not None:
         check_task_departure(x0, wanted, way.task)
         check_goal_controllable(problem, way.rows)
