@@ -30,6 +30,7 @@ from planner.dynamics.quasi_static import carried_by_thrusters
 from planner.dynamics.resting_poses import along_ground, extended, minimum_of_energy, saddle_of_energy
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.model.capabilities import rolling_radii, roots, stands_on_ground, unactuated_basis
+from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
 
 RANK = 1e-6  # relative to the largest singular value: of contact Jacobians
@@ -39,6 +40,7 @@ MANY = 20  # largest number of contacts of a tree that determine its vertical di
 UPWARDS = 0.8  # cosine of a plane's normal to the vertical: planes below it are walls
 TURNS = 5  # largest number of iterations of the midpoint Jacobian
 POSE_TOLERANCE = 1e-9  # m or rad, largest change of the goal at convergence
+ON_AXIS = 0.01  # of the largest distance of contacts from an axis: those nearer to theirs resist no turn about it
 STRIDE = 0.05  # m: feet that slip or rise by less on the way roll or deform, and need not leave the ground
 
 
@@ -235,13 +237,19 @@ def carriers(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
 
 
 def contact_stiffness(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """(nv,) N/m or N m/rad of the loaded contacts at q (nq,), as each degree of freedom feels it: sum_k K_k |J_k|^2."""
+    """(nv,) N/m or N m/rad of the loaded contacts at q (nq,), as each degree of freedom feels it: sum_k K_k |J_k|^2.
+
+    0 where the contacts lie on its axis, to ON_AXIS: it turns on them freely.
+    """
     loads = np.linalg.norm(contact_forces(mechanism, q, np.zeros(mechanism.nv)).forces, axis=1)
     carry = np.flatnonzero(loads)
     if not carry.size:
         return np.zeros(mechanism.nv)
     K = np.array([loads[k] / mechanism.contacts[k].law.rest_depth(float(loads[k])) for k in carry])
-    return np.einsum("k,kaj->j", K, contact_jacobians(mechanism, q, carry) ** 2)
+    found = np.einsum("k,kaj->j", K, contact_jacobians(mechanism, q, carry) ** 2)
+    turns = np.array([one.unit == "rad" for one in coordinates_of_mechanism(mechanism)[: mechanism.nv]])
+    farthest = np.where(turns, found[turns].max(initial=0.0), 0.0)
+    return np.where(found > ON_AXIS**2 * farthest, found, 0.0)
 
 
 def stance_inertia(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:

@@ -172,6 +172,23 @@ def test_its_gains_stay_below_the_stiffness_of_its_ground(forward):
     assert gains[1] == pytest.approx(GAIN_SHARE * ground[1])  # the hip's are lower, by what its range asks for
 
 
+@pytest.mark.parametrize("beside", [0.0, 1e-3])
+def test_a_joint_whose_axis_goes_through_its_contact_has_its_own_effort(tmp_path, beside):
+    """Such a contact bears no torque of it, to rounding or to the millimetre: no gain is too large for the ground.
+
+    What it is charged is what corrects an error of a foot of so little inertia: 0.0137 N m, and no 1e-5 or 1e-28.
+    """
+    slide = '<joint name="leg" type="slide" axis="0 0 1" range="-.05 .3" damping="2"/>'
+    spin = f'<joint name="spin" axis="0 0 1" pos="{beside} 0 0" range="-60 60" damping="2"/>'
+    motor = '<motor joint="spin" ctrlrange="-60 60"/></actuator>'
+    (tmp_path / "monopod.xml").write_text(MONOPOD.replace(slide, slide + spin).replace("</actuator>", motor))
+    (tmp_path / "problem.toml").write_text(START + "goal = { x = 0.5 }\nduration = 1.5\n")
+    problem = load(tmp_path / "problem.toml").problem
+    m = problem.dynamics.mechanism
+    assert contact_stiffness(m, tracking_of(problem.cost).x_ref[-1][: m.nq])[4] == 0.0
+    assert weights_of(problem)["effort"][2] < 0.01**-2
+
+
 def test_a_machine_whose_feet_stay_has_the_straight_line(tmp_path):
     problem = problem_of(tmp_path, "goal = { leg = 0.1 }\nduration = 1.0\n")
     assert "rest" not in weights_of(problem)
