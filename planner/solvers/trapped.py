@@ -10,6 +10,7 @@ from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.goals import goals_of, missed_goal_message
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.thrust import missing_thrust
 from planner.solvers.continuation import Continuation, has_softer, share_at_limits
 from planner.solvers.options import DEFAULT, SolverOptions
 
@@ -26,6 +27,8 @@ _UNSUCCESSFUL = (Status.MAX_ITERATIONS, Status.NO_DESCENT, Status.OUTSIDE_LIMITS
 def is_trapped(problem: Problem, plan: Plan, options: SolverOptions) -> bool:
     """Whether a direct solve ended without success, and not only because its weights are too small."""
     if not (_is_relaxed(problem, options) and failed(plan)) or plan.status is Status.NOT_FINITE:
+        return False
+    if missing_thrust(problem) is not None:  # it falls on all ways
         return False
     return stays_away(problem, plan) or not lacks_only_weight(problem, plan)
 

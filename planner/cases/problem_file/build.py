@@ -389,7 +389,7 @@ def _built(
         check_momentum(problem, goal)
         if not rebuilt:  # a search over durations goes below those that suffice
             between = durations_or_default(table.get("durations"), table.get("objective", {}), table["duration"])
-            check_goal_in_time(problem, max(table["duration"], *(between or (0.0,))))
+            check_goal_in_time(problem, (table["duration"], *(between or ())))
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 

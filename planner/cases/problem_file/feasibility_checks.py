@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,14 +11,15 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.kinematics import center_of_mass, center_of_mass_jacobian
 from planner.dynamics.protocol import rollout_states
-from planner.model.capabilities import unreached_dofs
+from planner.model.capabilities import capabilities_of, unreached_dofs
 from planner.model.coordinates import coordinates_of
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.goals import ROUNDING, goals_of
+from planner.problem.goals import ROUNDING, SHARE, goals_of
 from planner.problem.problem import Problem
 from planner.problem.tasks.momentum import undamped_floating_dofs
+from planner.problem.thrust import missing_thrust
 
 MIN_JERK_PEAK = 1.875  # velocity of a minimum-jerk motion, over its mean
 
@@ -42,8 +44,10 @@ def check_goal_differs(problem: Problem) -> None:
         raise PlannerError("no weight is above 0 where start and goal differ, expected one: nothing would move.")
 
 
-def check_goal_in_time(problem: Problem, longest: float) -> None:
-    """Refuse a goal of a joint that is farther than the limit of its velocity lets it go in the longest time, s."""
+def check_goal_in_time(problem: Problem, durations: Sequence[float]) -> None:
+    """Refuse a goal that limits of velocity, or the thrust of what flies, keep from in all of the durations, s."""
+    longest, shortest = max(durations), min(durations)
+    _check_thrust(problem, shortest)
     dynamics, cost, x0 = problem.dynamics, tracking_of(problem.cost), problem.x0
     assert isinstance(dynamics, RigidBodyDynamics)  # a problem file has them
     assert cost is not None
@@ -91,6 +95,34 @@ def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
                 "pushes it contacts = { penetration = 0.003, friction = 0.8 } and a sphere or capsule of each, a goal "
                 "where it gets by itself, or a model without that joint."
             )
+
+
+def _check_thrust(problem: Problem, shortest: float) -> None:
+    """Refuse a goal whose velocities a machine in the air cannot have: its thrusters push less than it weighs.
+
+    Its centre of mass, at a speed v upwards at the start, has at most v - (g - F / m) T after the shortest duration T,
+    s, whatever the controls do. With drag nothing is refused: air may carry what moves in it.
+    """
+    missing, cost = missing_thrust(problem), tracking_of(problem.cost)
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if missing is None or mechanism is None or mechanism.drags or cost is None:
+        return
+    goal = cost.x_ref[-1]
+    g, share = float(np.linalg.norm(mechanism.gravity)), missing.thrust / missing.weight
+    begins, ends = (
+        -mechanism.gravity / g @ center_of_mass_jacobian(mechanism, x[: mechanism.nq]) for x in (problem.x0, goal)
+    )
+    rises = float(begins @ problem.x0[mechanism.velocities])
+    asked = {(one.name, one.unit): one.tolerance for one in goals_of(problem)}
+    coordinates = coordinates_of(problem.dynamics)[mechanism.nv : 2 * mechanism.nv]
+    tolerances = np.array([asked.get((one.name, one.unit), np.inf) for one in coordinates])
+    passes = float(np.abs(ends) @ np.where(ends == 0.0, 0.0, tolerances))
+    passes += SHARE * (abs(rises) + (1.0 + share) * g * shortest)  # default tolerances are of the velocity's peak
+    if rises - (1.0 - share) * g * shortest < ends @ goal[mechanism.velocities] - passes:
+        raise PlannerError(
+            f"the thrusters push with at most {missing.thrust:.3g} N of the {missing.weight:.3g} N that the machine "
+            "weighs, so that it falls, expected stronger ones, less mass, or weights without final_velocity."
+        )
 
 
 def check_momentum(problem: Problem, goal: np.ndarray) -> None:

@@ -11,7 +11,7 @@ from planner.problem.plan import Plan, Status
 from planner.proof.diagnostics.avoid_contact import avoid_contact, no_way_around
 from planner.proof.diagnostics.balance import falling, gait_needed, jump_not_found, standing_goal
 from planner.proof.diagnostics.cycles import failing_cycle
-from planner.proof.diagnostics.effort import longer, more_time, passing_duration
+from planner.proof.diagnostics.effort import longer, more_time, passing_duration, too_little_thrust
 from planner.proof.diagnostics.goals import larger_weights, untouched, without_ignored
 from planner.proof.diagnostics.limits import fixed_joints, wider_margin, within_limits
 from planner.proof.diagnostics.soft_equalities import soft_equalities
@@ -31,7 +31,8 @@ from planner.proof.verdict import Proof
 __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 
 _CAUSES = (
-    other_model, standing_goal, gait_needed, first_guess, no_way_around, avoid_contact, fixed_joints, untouched,
+    other_model, too_little_thrust, standing_goal, gait_needed, first_guess, no_way_around, avoid_contact, fixed_joints,
+    untouched,
     jump_not_found, more_time, passing_duration, penalize_velocity, within_limits, without_ignored, more_iterations,
     shorter_stage, clamped_between, wider_margin, larger_weights, other_guesses, falling, not_a_minimum,
     soft_equalities,

@@ -31,6 +31,7 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.progress import control_at_bound, control_name, sentence_of, state_at_bound, state_outside
 from planner.problem.rediscretize import rounded_duration
+from planner.problem.thrust import missing_thrust
 from planner.proof.diagnostics.min_jerk import MinJerkMotion, machine_of, smooth_motion
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, seeks_duration
 from planner.proof.verdict import Proof
@@ -58,6 +59,15 @@ def passing_duration(plan: Plan, problem: Problem, proof: Proof | None) -> list[
         return []
     values = {"duration": Quantity(problem.duration, "s"), "factor": found["factor"]}
     return [_in_time(plan, problem, found["duration"], "infeasible", **values)]
+
+
+def too_little_thrust(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """Thrusters that push less than the machine weighs, of a plan that misses its goals."""
+    missing = missing_thrust(problem)
+    if missing is None or not (_missed(proof) or plan.missed_goals or not plan.converged):
+        return []
+    values = {name: Quantity(value, "N") for name, value in missing._asdict().items()}
+    return [no_fix("goal", "thrust_below_weight", **values)]
 
 
 def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:

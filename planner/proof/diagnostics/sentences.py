@@ -46,6 +46,8 @@ SENTENCES = {
     # Force and time
     "too_little_force": "in {duration} {actuator} needs {needed} of {limit}",
     "too_little_speed": "in {duration} the {joint} needs {needed} of {limit}",
+    "thrust_below_weight": "The thrusters push with at most {thrust} of the {weight} that the machine weighs: it "
+    "falls. Stronger ones or less mass are needed.",
     "force_never_enough": "No duration lets the actuators hold the path to the goal: even in {duration} {actuator} "
     "needs {needed} of {limit}.",
     "pose_never_held": "No duration lets the machine stand in the pose at the end: at rest {actuator} needs {needed} "
