@@ -2,7 +2,8 @@
 
 A guess may be a bad one, or a saddle: a car that is to go sideways gets nowhere by any small change of its controls
 from rest. So a solve without contacts begins again from other first guesses (solvers.other_guesses), and any that
-converges as far from its goals as it began from slightly shaken controls.
+converges as far from its goals as it began from slightly shaken controls; with contacts, which bear a small push
+without motion, from strongly shaken ones, too.
 
 With contacts the easier problem has softer ones (solvers.continuation): sinking ten times as deep, then less and
 less. Where objects are to be moved that nothing touches it has forces at a distance instead, from afar and then from
@@ -56,7 +57,7 @@ from planner.solvers.continuation import (
 from planner.solvers.engine import is_in_numpy
 from planner.solvers.gains import tracked_warm_start
 from planner.solvers.options import SolverOptions
-from planner.solvers.other_guesses import other_guesses, shaken, swings
+from planner.solvers.other_guesses import LARGE_SHAKE, SHAKE, other_guesses, shaken, swings
 from planner.solvers.trapped import (
     FIRST_ITERATIONS,
     MAX_QUICK_ITERATIONS,
@@ -76,6 +77,7 @@ from planner.solvers.work import WorkBudget
 DISTANT_ITERATIONS = 100  # after which a solve with forces at a distance goes on only if its plan meets the goals
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
 MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
+SHAKES = ((SHAKE, 0), (LARGE_SHAKE, 1), (LARGE_SHAKE, 2))  # shares and seeds, while a plan ends where it began
 GUESS_WORK = 10.0  # limit of the work of a solve from the first other guess (solvers.work), half of it for each next
 SAME_COST = 1e-3  # relative difference of the costs below which two of them are the same branch, or its mirror image
 LENGTHENING = 1.1  # ratio of successive durations
@@ -166,13 +168,15 @@ class _Relaxation:
         problem, limit = self.problem, self.options.max_iterations
         self.best = direct
         self._report("direct", 1.0, direct, not failed(direct))
-        if stays_away(problem, direct) and not self._distant():
-            allowed = self._allowed(problem, limit)
-            plan = self.solve_one(problem, self.options, None, None, shaken(problem), allowed, None)
+        for share, seed in SHAKES if has_softer(problem) else SHAKES[:1]:  # without contacts there are better guesses
+            if not stays_away(problem, direct) or self._distant():
+                break
+            allowed = self._allowed(problem, limit if share == SHAKE else FIRST_ITERATIONS)
+            plan = self.solve_one(problem, self.options, None, None, shaken(problem, share, seed), allowed, None)
             if self._report("shaken", 1.0, plan, not failed(plan)) or (
                 plan.status in (Status.CONVERGED, Status.MAX_ITERATIONS) and plan.cost < direct.cost
             ):
-                direct = replace(plan, starts=direct.starts)
+                self.best = direct = replace(plan, starts=direct.starts)
                 if not is_trapped(problem, direct, self.options):
                     return direct
         stopped = direct.status is Status.MAX_ITERATIONS and look_iterations(problem) < limit

@@ -191,7 +191,7 @@ def solve(
         and is_trapped(core, best, whole)  # the budget has not cut it: some is left
     ):  # fmt: skip
         solve_again = partial(_solve_from_guess, deadline=deadline)
-        best, recorded["relaxation"] = relax(core, best, solve_again, settings, callback, work)
+        best, recorded["relaxation"] = relax(core, best, solve_again, whole, callback, work)
     if best.status is Status.NOT_FINITE and (cure := stage_too_long(problem)):
         recorded["not_finite"] = cure
     if work is not None:

@@ -78,14 +78,14 @@ def is_settled(plan: Plan) -> bool:
     return len(costs) > 1 and abs(costs[0] - costs[-1]) <= SETTLED * abs(costs[-1])
 
 
-def stays_away(problem: Problem, plan: Plan) -> bool:
-    """Whether a converged plan ends as far from a goal as it begins."""
+def stays_away(problem: Problem, plan: Plan, near: float = NEAR) -> bool:
+    """Whether a converged plan ends as far from a goal as it begins, to a share of it."""
     if not plan.converged:
         return False
     for one in goals_of(problem, plan.xs):
         if one.times is None and np.isfinite(one.tolerance):
             begins, ends = (float(one.error(x[None])[0]) for x in plan.xs[[0, -1]])
-            if begins > one.tolerance and ends >= (1.0 - NEAR) * begins:
+            if begins > one.tolerance and ends >= (1.0 - near) * begins:
                 return True
     return False
 

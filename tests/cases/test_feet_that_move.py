@@ -17,6 +17,8 @@ from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, SLIP_SPEED
 from planner.problem.reaching_cost import with_slip
 from planner.proof.diagnostics import suggested_fixes
 from planner.proof.skating import foot_penetration, skating
+from planner.solvers.options import SolverOptions
+from planner.solvers.relaxation import relax
 
 MONOPOD = """<mujoco model="monopod"><option timestep="0.002"/>
 <worldbody><geom name="floor" type="plane" size="0 0 1"/>
@@ -160,6 +162,27 @@ def test_its_weights_leave_the_way_open_and_ask_for_the_goal_in_the_last_quarter
     assert np.all(np.diagonal(cost.Q[first:N, :nv, :nv], axis1=1, axis2=2) > 0.0)
     speeds = np.diagonal(cost.Q[:, nv:, nv:], axis1=1, axis2=2)
     np.testing.assert_allclose(speeds[0], WAY_SHARE * speeds[first])
+
+
+def test_what_no_solve_moves_is_shaken_harder_and_no_weight_is_advised(forward):
+    """Its contacts bear a small push; what a strong one moves is kept, and where none does that is said."""
+    still = planner.solve(forward, SolverOptions(homotopy=False), max_iterations=1)
+    xs = np.tile(forward.x0, (forward.N + 1, 1))
+    still = replace(still, status=planner.Status.CONVERGED, xs=xs, cost=100.0)
+    near = xs + np.linspace(0.0, 0.3, forward.N + 1)[:, None] * np.eye(forward.dynamics.nx)[0]
+    for moved_by in (1, 2, 3):  # the number of the solve that moves
+        calls = []
+
+        def solve_one(*_, calls=calls, moved_by=moved_by):
+            calls.append(0)
+            return replace(still, xs=near, cost=50.0) if len(calls) == moved_by else still
+
+        plan, record = relax(forward, still, solve_one, SolverOptions(), None)
+        assert [step[0] for step in record["steps"]].count("shaken") == moved_by
+        assert np.array_equal(plan.xs, near)
+    (said,) = suggested_fixes(still)
+    assert (said.code, said.value) == ("not_moved", None)
+    assert "not_moved" not in [one.code for one in suggested_fixes(replace(still, xs=near))]
 
 
 def test_its_gains_stay_below_the_stiffness_of_its_ground(forward):

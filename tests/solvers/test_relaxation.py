@@ -194,6 +194,17 @@ def test_a_relaxation_that_its_budget_cuts_says_how_much_work_it_had():
     assert suggested_fixes(plan)
 
 
+def test_a_relaxation_in_a_budget_knows_the_iterations_that_were_asked_for(monkeypatch):
+    """Fewer would say that little work was asked for, and end it after its first solve."""
+    seen = []
+    monkeypatch.setattr(
+        slq, "relax", lambda problem, direct, solve, options, *_: (seen.append(options), (direct, {}))[1]
+    )
+    problem = swing_up(2.0, 5.0)
+    planner.solve(problem, budget=WorkBudget(900 * problem.N * work_of_stage(problem)))  # 1000 are asked for
+    assert [one.max_iterations for one in seen] == [SolverOptions().max_iterations]
+
+
 @pytest.mark.usefixtures("no_other_guesses")
 def test_each_solve_is_reported_and_may_be_the_last():
     lines = []

@@ -12,7 +12,7 @@ from planner.proof.diagnostics.avoid_contact import avoid_contact, no_way_around
 from planner.proof.diagnostics.balance import falling, gait_needed, jump_not_found, standing_goal
 from planner.proof.diagnostics.cycles import failing_cycle
 from planner.proof.diagnostics.effort import longer, more_time, passing_duration, too_little_thrust
-from planner.proof.diagnostics.goals import larger_weights, untouched, without_ignored
+from planner.proof.diagnostics.goals import larger_weights, not_moved, untouched, without_ignored
 from planner.proof.diagnostics.limits import fixed_joints, wider_margin, within_limits
 from planner.proof.diagnostics.soft_equalities import soft_equalities
 from planner.proof.diagnostics.solving import (
@@ -32,8 +32,8 @@ __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 
 _CAUSES = (
     other_model, too_little_thrust, standing_goal, gait_needed, first_guess, no_way_around, avoid_contact, fixed_joints,
-    untouched,
-    jump_not_found, more_time, passing_duration, penalize_velocity, within_limits, without_ignored, more_iterations,
+    untouched, not_moved, jump_not_found, more_time, passing_duration, penalize_velocity, within_limits,
+    without_ignored, more_iterations,
     shorter_stage, clamped_between, wider_margin, larger_weights, other_guesses, falling, not_a_minimum,
     soft_equalities,
 )  # fmt: skip

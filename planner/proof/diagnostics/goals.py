@@ -14,12 +14,14 @@ from planner.problem.goals import GoalCheck, goals_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.tasks.cost import WEIGHT
+from planner.proof.diagnostics.solving import STARTS
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file, rounded_up
 from planner.proof.verdict import Proof
-from planner.solvers.continuation import DistantContacts
+from planner.solvers.continuation import DistantContacts, has_softer
 from planner.solvers.trapped import stays_away
 
 TARGET_SHARE = 0.5  # of the tolerance: the error to aim at
+NOWHERE = 1e-3  # of the way to a goal: what goes no farther was not moved
 MIN_RAISE, MAX_RAISE = 3.0, 1e6  # limits of the factor on a weight
 _WEIGHTS = ("final_position", "final_velocity")
 _Raises = dict[int, tuple[float, dict[str, Any]]]  # by coordinate: factor on a weight, and the values of the finding
@@ -33,6 +35,16 @@ def untouched(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
     away = [one for one in goals_of(problem, plan.xs) if one.miss(plan.t, plan.xs) > one.tolerance]
     positions = [one for one in away if not one.unit.endswith("/s")]
     return [no_fix("goal", "untouched")] if any(family.concerns(one.error) for one in positions) else []
+
+
+def not_moved(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """A machine with contacts that no solve moved, not from shaken controls: no weight of a goal has a gradient."""
+    if not (has_softer(problem) and stays_away(problem, plan, NOWHERE)) or DistantContacts(problem).factor > 1.0:
+        return []
+    several = problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1
+    advice = [] if several else [f"`starts = {STARTS}`"]
+    advice += ["a [[goal]] of joints on the way", "more `duration`"]
+    return [no_fix("goal", "not_moved", advice=", or ".join(advice))]
 
 
 def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
