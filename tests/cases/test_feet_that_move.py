@@ -15,7 +15,10 @@ from planner.problem.costs.frame import CLEARANCE, SlipCost
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.default_weights import GAIN_SHARE, MOVING_SHARE, SLIP_SPEED, STANCE_TOLERANCES, WAY_SHARE
 from planner.problem.reaching_cost import with_slip
+from planner.proof import diagnostics
 from planner.proof.diagnostics import suggested_fixes
+from planner.proof.diagnostics.avoid_contact import avoid_contact
+from planner.proof.diagnostics.suggested_fix import fix
 from planner.proof.skating import foot_penetration, skating
 from planner.solvers.options import SolverOptions
 from planner.solvers.relaxation import relax
@@ -302,7 +305,11 @@ def test_a_high_jump_is_not_refused(tmp_path):
     assert problem_of(tmp_path, HIGHER.format(height=2.94, time=0.6, duration=1.4)).goal_specs
 
 
-def test_a_jump_that_no_solve_finds_says_how_high_the_plan_gets(tmp_path):
+def found_first(plan, problem, proof):
+    return [fix(problem, "avoid", {}, "path_collides", pair="two")]
+
+
+def test_a_jump_that_no_solve_finds_says_how_high_the_plan_gets(tmp_path, monkeypatch):
     """The leg reaches 0.65 m, less the margin of its range: what is lower needs no jump."""
     options, held = planner.SolverOptions(max_iterations=3, homotopy=False), 'guess = "hold"\n' + HIGHER
     plan = planner.solve(problem_of(tmp_path, held.format(height=2.0, time=0.6, duration=1.4)), options)
@@ -314,6 +321,9 @@ def test_a_jump_that_no_solve_finds_says_how_high_the_plan_gets(tmp_path):
     assert at["standing"] == pytest.approx(0.64, abs=0.01)
     assert "gets to" in found.sentence
     assert found.values["advice"] == "`starts = 8` or a start that crouches"
+    causes = tuple(found_first if one is avoid_contact else one for one in diagnostics._CAUSES)
+    monkeypatch.setattr(diagnostics, "_CAUSES", causes)
+    assert [one.code for one in suggested_fixes(plan)] == ["jump_not_found"]  # what it touches is no cause
     cut = replace(plan, status=planner.Status.WORK_LIMIT)
     cut.options["work"] = 1.0
     jump = next(one for one in suggested_fixes(cut) if one.code == "jump_not_found")

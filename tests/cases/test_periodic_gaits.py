@@ -21,7 +21,7 @@ from planner.problem.tasks.cycle import Cycle, cycle_motion, cycle_of
 from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.mirror import UNLIKE, asymmetry, mirror_of
 from planner.proof.diagnostics import suggested_fixes
-from planner.proof.diagnostics.cycles import failing_cycle
+from planner.proof.diagnostics.cycles import cycle_not_found, failing_cycle
 from planner.solvers.phase_times import PhaseTimes
 
 SCENE = ROOT / "mjcf" / "quadruped" / "scene.xml"
@@ -367,6 +367,8 @@ def test_a_cut_search_says_what_does_not_return(tmp_path):
     assert "from where the cycle began" in plan.message
     (found,) = suggested_fixes(plan)
     assert (found.code, found.value) == ("cycle_not_found", None)
+    assert cycle_not_found(plan, short, None) == [found]  # before what its plan touches
+    assert not cycle_not_found(replace(plan, status=Status.CONVERGED), short, None)
     assert found.values["duration"].value == 0.25  # s, as the file has it
     (finer,) = failing_cycle(replace(plan, status=Status.UNRESOLVED), short, None)
     assert (finer.key, finer.value) == ("dt", 0.5 * short.dynamics.dt)

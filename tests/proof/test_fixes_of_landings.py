@@ -1,9 +1,13 @@
 """suggested_fixes(): a machine that flies is to land by contacts of its file, and no ground is taken away from it."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import pytest
 
 import planner
 from planner.proof.diagnostics import suggested_fixes
+from planner.proof.diagnostics.avoid_contact import avoid_contact
 
 LEGS = "".join(f'<geom name="leg{s}" type="sphere" pos="{s}0.25 0 -0.25" size="0.04" mass="0.2"/>' for s in "-+")
 CRAFT = f"""<mujoco><worldbody><geom name="floor" type="plane" size="5 5 .1"/><body name="craft" pos="0 0 1">
@@ -32,3 +36,17 @@ def test_a_craft_that_lands_on_its_thrusters_is_offered_the_files_contacts(tmp_p
     assert found == [("contacts", "file", "lands")]
     proof, _ = fixes(tmp_path, "start = { x = -0.3 }", 'contacts = "file"', goal)
     assert proof.passed
+
+
+@pytest.mark.parametrize(("goal", "key"), [(-0.6, "avoid"), (-0.705, "contacts")])
+def test_a_craft_that_ends_too_low_is_to_stand_only_where_its_goal_is_on_the_ground(tmp_path, goal, key):
+    """Its legs touch the floor at z = -0.71 m: 0.11 m below the one goal, and within LANDED of the other."""
+    (tmp_path / "craft.xml").write_text(CRAFT)
+    text = f'model = "craft.xml"\nduration = 1.5\ngoal = {{ x = 0.3, z = {goal}, tilt = 0 }}\n'
+    (tmp_path / "problem.toml").write_text(text)
+    plan = planner.solve(planner.load_problem(tmp_path / "problem.toml"))
+    low = plan.xs.copy()
+    low[-1, 1] = -0.714
+    failed = SimpleNamespace(your_file=SimpleNamespace(failures=[SimpleNamespace(name="unknown_contacts")]))
+    (found,) = avoid_contact(replace(plan, xs=low), plan.problem, failed)
+    assert found.key == key

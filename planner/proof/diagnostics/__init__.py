@@ -10,7 +10,7 @@ from __future__ import annotations
 from planner.problem.plan import Plan, Status
 from planner.proof.diagnostics.avoid_contact import avoid_contact, no_way_around
 from planner.proof.diagnostics.balance import falling, gait_needed, jump_not_found, standing_goal
-from planner.proof.diagnostics.cycles import failing_cycle
+from planner.proof.diagnostics.cycles import cycle_not_found, failing_cycle
 from planner.proof.diagnostics.effort import longer, more_time, passing_duration, too_little_thrust
 from planner.proof.diagnostics.goals import larger_weights, not_moved, untouched, without_ignored
 from planner.proof.diagnostics.limits import fixed_joints, wider_margin, within_limits
@@ -31,13 +31,12 @@ from planner.proof.verdict import Proof
 __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 
 _CAUSES = (
-    other_model, too_little_thrust, standing_goal, gait_needed, first_guess, no_way_around, avoid_contact, fixed_joints,
-    untouched, not_moved, jump_not_found, more_time, passing_duration, penalize_velocity, within_limits,
-    without_ignored, more_iterations,
-    shorter_stage, clamped_between, wider_margin, larger_weights, other_guesses, falling, not_a_minimum,
-    soft_equalities,
+    other_model, too_little_thrust, standing_goal, gait_needed, first_guess, jump_not_found, no_way_around,
+    avoid_contact, fixed_joints, untouched, not_moved, more_time, passing_duration, penalize_velocity, within_limits,
+    without_ignored, more_iterations, shorter_stage, clamped_between, wider_margin, larger_weights,
+    other_guesses, falling, not_a_minimum, soft_equalities,
 )  # fmt: skip
-_OF_CYCLES = (avoid_contact, fixed_joints, within_limits, more_iterations, failing_cycle)
+_OF_CYCLES = (cycle_not_found, avoid_contact, fixed_joints, within_limits, more_iterations, failing_cycle)
 
 
 def suggested_fixes(plan: Plan, proof: Proof | None = None) -> tuple[SuggestedFix, ...]:

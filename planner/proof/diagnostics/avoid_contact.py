@@ -58,7 +58,7 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     may_avoid = of_file(problem) and "avoid" not in problem.parameters
     if inside := {pair: depth for pair, depth in began.items() if can_separate(index, pair, start, CLEARANCE)}:
         return [no_fix("start", "start_collides", **shapes.deepest(inside))]
-    if flying and (landing := shapes.landing(index, start, (goal, *knots[-1:]), knots)) and _may_land(problem):
+    if flying and (landing := shapes.landing(index, start, goal, knots)) and _may_land(problem):
         return [fix(problem, "contacts", "file", "lands", pair=shapes.names(landing))]
     if at_goal := shapes.depths(goal):
         worst = shapes.deepest(at_goal)
@@ -158,12 +158,12 @@ class _Shapes:
         return {"pair": self.names(pair), "depth": Quantity(depths[pair], "m")}
 
     def landing(
-        self, index: ModelIndex, start: np.ndarray, ends: tuple[np.ndarray, ...], poses: list[np.ndarray]
+        self, index: ModelIndex, start: np.ndarray, goal: np.ndarray, poses: list[np.ndarray]
     ) -> tuple[int, int] | None:
-        """A pair with the ground in contact at some poses, that stands on it at the start or is to at the end."""
+        """A pair with the ground in contact at some poses, that stands on it at the start or is to at the goal."""
         may_stand = {tuple(sorted(pair.geoms)) for pair in file_pairs(index)}
-        for pair in (pair for q in (*poses, *ends) for pair in self.touching(q, 0.0)):
-            if pair in may_stand and (self._gap(start, pair) <= 0.0 or min(self._gap(q, pair) for q in ends) < LANDED):
+        for pair in (pair for q in (*poses, goal) for pair in self.touching(q, 0.0)):
+            if pair in may_stand and (self._gap(start, pair) <= 0.0 or self._gap(goal, pair) < LANDED):
                 return pair
         return None
 

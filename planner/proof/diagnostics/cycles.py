@@ -12,6 +12,12 @@ from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, o
 from planner.proof.verdict import Proof
 
 
+def cycle_not_found(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """Of a solve that ended without a cycle what may be asked for instead: what its plan touches is no cause."""
+    ended = not plan.converged and not plan.status.cut
+    return failing_cycle(plan, problem, proof) if ended else []
+
+
 def failing_cycle(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Half the stage for a cycle that stages do not resolve; else what may be asked for instead."""
     if not of_file(problem) or problem.periodic is None:
