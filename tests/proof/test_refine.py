@@ -14,6 +14,7 @@ from planner.base.measured import Measurement, Section
 from planner.cases.problem_file import load
 from planner.problem.plan import Status
 from planner.problem.rediscretize import step_error
+from planner.proof.diagnostics.stage import contacts_differ, shorter_stage
 from planner.proof.error_scales import SMOOTHED, ranges_of_motion
 from planner.proof.original_model import OVERLAPS_THAT_PUSH
 from planner.proof.repair import refinement
@@ -216,9 +217,17 @@ def test_contacts_that_are_the_cause(rise, bounds, of_contacts):
     error[1:, thigh] = bounds * SMOOTHED * ranges_of_motion(plan)[thigh]
     assert bounds * SMOOTHED > 10.0 * step_error(plan)
     moved = SimpleNamespace(plan=run.plan, error=error)
-    other = refinement._other_cause(replace(proof, replays=proof.replays | {"feedback": moved}))
+    off = replace(proof, replays=proof.replays | {"feedback": moved})
+    other = refinement._other_cause(off)
     assert other.startswith("contacts put the replay " if of_contacts else "")
     assert bool(other) is of_contacts
+    shares = {"feedback": np.full(plan.N + 1, bounds)}  # by a step that is said to make as much
+    off = replace(off, errors=SimpleNamespace(ratio=lambda mode: 1.0, measured=shares, predicted=shares))
+    assert bool(shorter_stage(plan, plan.problem, off)) is not of_contacts  # none that does not help
+    found = contacts_differ(plan, plan.problem, off)
+    assert [(one.code, one.values["off"]) for one in found] == (
+        [("contacts_differ", pytest.approx(bounds))] * of_contacts
+    )
 
 
 # Ends

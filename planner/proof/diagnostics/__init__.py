@@ -23,7 +23,7 @@ from planner.proof.diagnostics.solving import (
     other_guesses,
     other_model,
 )
-from planner.proof.diagnostics.stage import clamped_between, shorter_stage
+from planner.proof.diagnostics.stage import clamped_between, contacts_differ, shorter_stage
 from planner.proof.diagnostics.suggested_fix import SuggestedFix
 from planner.proof.diagnostics.velocity_weight import penalize_velocity
 from planner.proof.verdict import Proof
@@ -34,7 +34,8 @@ _CAUSES = (
     other_model, too_little_thrust, standing_goal, gait_needed, first_guess, jump_not_found, no_way_around,
     avoid_contact, fixed_joints, untouched, not_moved, more_time, passing_duration, penalize_velocity, within_limits,
     without_ignored, more_iterations, shorter_stage, clamped_between, wider_margin, larger_weights,
-    other_guesses, falling, not_a_minimum, soft_equalities,
+    other_guesses, falling, contacts_differ, not_a_minimum,
+    soft_equalities,
 )  # fmt: skip
 _OF_CYCLES = (cycle_not_found, avoid_contact, fixed_joints, within_limits, more_iterations, failing_cycle)
 

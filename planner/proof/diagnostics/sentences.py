@@ -16,6 +16,9 @@ SENTENCES = {
     "ground_differs": "The plan's gains hold the machine in the plan's own model: an error that grows as "
     "exp({rate:.3g} t), t in s, becomes {share:.3g} times what passes. MuJoCo's contacts act otherwise there: they "
     "slip less and give more (docs/contact.md). Begin with a shorter or slower motion.",
+    "contacts_differ": "MuJoCo's contacts put the replay with the plan's gains {off:.3g} times what passes off its "
+    "path, the plan's step {by_step:.2g}: a finer one does not help. Begin with a shorter or slower motion, or one "
+    "that touches down more softly (docs/contact.md).",
     "gait_needed": "its four feet have to go {distance:.2g}, by a dozen steps that no first guess knows: a gait says "
     "which feet swing when (docs/contact.md)",
     "cycle_unresolved": "stages of {dt:.4g} do not resolve the cycle",

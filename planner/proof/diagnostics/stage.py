@@ -11,7 +11,8 @@ from planner.base.measured import Quantity
 from planner.dynamics.protocol import integrator_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix
+from planner.proof.contact_errors import contact_error
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix
 from planner.proof.error_propagation import FACTOR
 from planner.proof.verdict import Proof
 
@@ -27,6 +28,8 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     if proof is None or not all(one.passed for one in (proof.plan, proof.parity, proof.same_step)):
         return []
     if proof.refined_feedback.passed and (proof.mode is not None or proof.refined_open_loop.passed):
+        return []
+    if contact_error(proof) is not None:
         return []
     dt, integrator = problem.dynamics.dt, getattr(problem.dynamics, "integrator", "rk4")
     ratio = proof.errors.ratio("feedback")
@@ -44,6 +47,15 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     value = rounded_step(problem.duration, dt / min(max(parts, 2.0), MAX_DIVISION))
     values = {"dt": Quantity(dt, "s"), "share": _times(worst), "order": step_order}
     return [fix(problem, "dt", value, "stage_too_long", **values)]
+
+
+def contacts_differ(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """That contacts put the replay off its path, where the step explains little of it."""
+    if proof is None or not all(one.passed for one in (proof.plan, proof.parity, proof.same_step)):
+        return []
+    if proof.refined_feedback.passed or (found := contact_error(proof)) is None:
+        return []
+    return [no_fix("goal", "contacts_differ", **found._asdict())]
 
 
 def clamped_between(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:

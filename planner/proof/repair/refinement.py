@@ -21,18 +21,18 @@ from typing import Any, NamedTuple
 from planner.base.arguments import count, short_repr
 from planner.base.errors import PlannerError
 from planner.problem.plan import Plan, Status
-from planner.problem.rediscretize import finer, step_error
+from planner.problem.rediscretize import finer
 from planner.proof import Proof
 from planner.proof import prove as full_proof
-from planner.proof.error_propagation import FACTOR, SMALL
-from planner.proof.error_scales import SMOOTHED, has_contacts, is_path_judged, shares_of_bounds, worst_by_unit
+from planner.proof.contact_errors import FALLEN, contact_error
+from planner.proof.error_propagation import FACTOR
+from planner.proof.error_scales import shares_of_bounds
 from planner.proof.original_model import OVERLAPS_THAT_PUSH
 from planner.proof.replays.replaying import reached_by_plan
 from planner.solvers.gains import warm_start
 from planner.solvers.slq import solve
 from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of
 
-FALLEN = 100.0  # bounds: a machine that has fallen open loop says nothing of its gains
 SAME = 0.1  # of an end error beyond its bound: where half the step changes it by less, it is not of the step
 
 
@@ -246,12 +246,8 @@ def _other_cause(proof: Proof) -> str:
         ratio = proof.errors.ratio(mode)
         if ratio is not None and ratio > FACTOR:
             return f"the replay is {ratio:.3g} times worse than the step makes it ({mode})."
-    run = proof.replays["feedback"]
-    if not has_contacts(run.plan):
-        return ""
-    off = max(one.share for one in worst_by_unit(run.plan, run.error) if is_path_judged(run.plan, one.unit))
-    by_step = step_error(run.plan) / SMOOTHED  # in bounds of the path, as off
-    if SMALL < off < FALLEN and off > FACTOR * by_step:  # another plan may bring a smaller error within its bound
+    if (found := contact_error(proof)) is not None:
+        off, by_step = found
         return f"contacts put the replay {off:.3g} bounds off its path, the step only {by_step:.2g} (feedback)."
     return ""
 
