@@ -84,6 +84,16 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
     raise PlannerError(f"{name} is {short_repr(value)}, expected one of: {', '.join(choices)}.{hint}")
 
 
+def word_or_numbers(name: str, value: str, words: Sequence[str], example: str) -> str:
+    """Return a word that may stand in place of numbers; the error has an example of these."""
+    if value in words:
+        return value
+    others = " or ".join(map(repr, words))
+    raise PlannerError(
+        f"{name} is {short_repr(value)}, expected numbers, e.g. {example}, or {others}.{did_you_mean(value, words)}"
+    )
+
+
 def did_you_mean(value: Any, known: Collection[str]) -> str:
     """Sentence that suggests the most similar known name, with a space before it; "" if none is similar."""
     short = isinstance(value, str) and len(value) <= _LONGEST_TEXT  # the search time is quadratic in its length

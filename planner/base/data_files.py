@@ -13,7 +13,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from planner.base.arguments import choice, count, did_you_mean, number, short_repr
+from planner.base.arguments import choice, count, did_you_mean, number, short_repr, word_or_numbers
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable, read_text, write_atomically
 
@@ -129,7 +129,7 @@ KINDS = {"a text": str, "true or false": bool, "a table": Mapping}
 
 def _checked(
     name: str, value: Any, kind: str = "", choices: Collection[str] = (), others: tuple[type, ...] = (),
-    word: str = "", whole: bool = False, **bounds: Any,
+    word: str = "", whole: bool = False, example: str = "", **bounds: Any,
 ) -> Any:  # fmt: skip
     """A value by the rule of its key."""
     if kind:
@@ -138,6 +138,8 @@ def _checked(
         return value
     if isinstance(value, others) and not isinstance(value, (bool, float, int)):
         return value
+    if example and isinstance(value, str):
+        return word_or_numbers(name, value, list(choices), example)
     if choices and not (float in others and isinstance(value, (float, int))):
         return choice(name, value, choices)
     if isinstance(value, str) and value == word:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planner.base.arguments import array, choice, did_you_mean, number, numbers, short_repr, toml_key
+from planner.base.arguments import array, choice, number, numbers, short_repr, toml_key, word_or_numbers
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
 from planner.dynamics.assembly import assembled
@@ -57,9 +57,8 @@ def component_of(name: str, value: Any, ndx: int) -> int:
 
 def check_word(name: str, value: Any, example: str) -> None:
     """Refuse a word for limits by name that is neither MODEL nor OFF, with an example of what to write."""
-    if isinstance(value, str) and value not in (MODEL, OFF):
-        expected = f"expected numbers, e.g. {example}, or {MODEL!r} or {OFF!r}"
-        raise PlannerError(f"the limits' {name} is {value!r}, {expected}.{did_you_mean(value, (MODEL, OFF))}")
+    if isinstance(value, str):
+        word_or_numbers(f"the limits' {name}", value, (MODEL, OFF), example)
 
 
 def is_word(value: Any, word: str) -> bool:

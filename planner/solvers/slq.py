@@ -332,7 +332,7 @@ def _inner_solve(
     xs, us = engine.trajectory()
     if stationary:
         gradient_norm = history[-1].gradient_norm
-        if regularization.of_states or not regularization.unregularized or not linearized:
+        if engine.curved or regularization.of_states or not regularization.unregularized or not linearized:
             # The gains of a plan are those of the LQ problem of Eq. 31. A sweep with an earlier one's active penalties
             # may have violations of rounding's size, times their weight, in its gradient.
             gradient_norm = unregularized_sweep(engine, options).gradient_norm

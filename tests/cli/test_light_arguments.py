@@ -53,7 +53,10 @@ WRONG = [
     (["run", "avoided.toml"], "avoid is True, expected a table."),
     (["run", "limits.toml"], "limits is 'of', expected one of: off. Did you mean 'off'?"),
     (["run", "torque.toml"], "control of limits is -3, expected a finite number greater than 0."),
-    (["run", "speed.toml"], "velocity of limits is 'modl', expected one of: model, off. Did you mean 'model'?"),
+    (
+        ["run", "speed.toml"],
+        "{ elbow = 2.0 }, rad/s or m/s, or 'model' or 'off'. Did you mean 'model'?",
+    ),
     (["run", "within.toml"], "[[constraint]] 2's within is 'narrow', expected a finite number greater than 0."),
     (["run", "along.toml"], "[[constraint]] 1's along is 'up', expected one of: x, y, z."),
     (["solve", "right.toml", "--objective", "tme"], "Did you mean 'time'?"),

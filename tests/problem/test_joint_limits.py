@@ -157,7 +157,7 @@ def test_limits_are_switched_off(tmp_path):
     np.testing.assert_allclose(kept(one)[1], [0.49, 0.9])
     other = load(problem_file(tmp_path, "[limits]\nposition = { slide = [-0.3, 0.3] }")).problem
     np.testing.assert_allclose(kept(other)[1], [0.3, 0.97])
-    refuse(problem_file(tmp_path, 'limits = "none"'), "'none'", "'off'")
+    refuse(problem_file(tmp_path, 'limits = "none"'), "'none'", "expected one of: off")
     refuse(problem_file(tmp_path, "[limits]\nmargin = -1"), "margin")
 
 

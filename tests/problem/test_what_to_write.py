@@ -35,7 +35,7 @@ def test_joints_of_a_goal_that_are_names():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"control": "5 Nm"}, "limits' control is '5 Nm', expected numbers, e.g. control = 5.0 or { elbow = 5.0 }"),
+        ({"control": "5 Nm"}, "control of limits is '5 Nm', expected numbers, e.g. control = 5.0 or { elbow = 5.0 }"),
         ({"position": "moddel"}, "or 'model' or 'off'. Did you mean 'model'?"),
         ({"velocity": "2 rad/s"}, "expected numbers, e.g. velocity = 2.0 or { elbow = 2.0 }, rad/s or m/s"),
     ],

@@ -192,6 +192,7 @@ TABLES = {
     "obstacle": OBSTACLE, "phase": PHASE, "constraint": CONSTRAINT,
 }  # fmt: skip
 _TABLE, _AXIS = (dict,), {"choices": ("x", "y", "z"), "others": (list,)}
+_LIMIT: dict[str, Any] = {"choices": ("model", "off"), "others": (dict, list, float), "greater_than": 0.0}
 VALUES: dict[str, dict[str, Any]] = {
     "dt": {"word": "auto", "greater_than": 0.0}, "substeps": {"word": "auto", "whole": True, "maximum": MAX_SUBSTEPS},
     "starts": {"whole": True, "maximum": MAX_STARTS}, "seed": {"whole": True, "minimum": 0},
@@ -200,9 +201,9 @@ VALUES: dict[str, dict[str, Any]] = {
     "title": {"kind": "a text"}, "avoid": {"kind": "a table"}, "avoid.self": {"kind": "true or false"},
     "avoid.world": {"kind": "true or false"}, "avoid.clearance": {"greater_than": 0.0},
     "limits": {"choices": ("off",), "others": _TABLE},
-    "limits.control": {"choices": ("model", "off"), "others": (dict, list, float), "greater_than": 0.0},
-    "limits.position": {"choices": ("model", "off"), "others": _TABLE},
-    "limits.velocity": {"choices": ("model", "off"), "others": (dict, list, float), "greater_than": 0.0},
+    "limits.control": _LIMIT | {"example": "control = 5.0 or { elbow = 5.0 }, in the unit of the actuators"},
+    "limits.position": {"choices": ("model", "off"), "others": _TABLE, "example": "position = { elbow = [-1.0, 1.0] }"},
+    "limits.velocity": _LIMIT | {"example": "velocity = 2.0 or { elbow = 2.0 }, rad/s or m/s"},
     "limits.margin": {"others": _TABLE, "minimum": 0.0}, "limits.final": {"choices": ("exact",), "others": (list,)},
     "limits.tolerance": {"greater_than": 0.0}, "constraint.pointing": _AXIS, "constraint.along": _AXIS,
     "constraint.axis": _AXIS, "constraint.within": {"greater_than": 0.0}, "constraint.lower": {},

@@ -100,7 +100,7 @@ class CompiledEngine(Engine):
         # The tracked plan and the next one, alternating: their gains are not copied.
         self._tracked: tuple[TrackedTrajectory, TrackedTrajectory] | None = None
         self._exact, self._second_order_used, self.state_regularization = False, False, 0.0
-        self.holds_bounds = False
+        self.holds_bounds, self.curved = False, False
         self._schedule, self.largest_control_weight = ActiveSetSchedule(), self._control_weight
         self.set_penalties(None)
 

@@ -225,13 +225,13 @@ class ConstrainedEngine(HybridEngine):
 
     def _linearize(self, second: bool) -> None:
         super()._linearize(second)
-        self._curved = False
+        self.curved = False
 
     def _use_curvature(self, curved: bool) -> None:
         """Whether the Hessians have the curvature of clearances."""
-        if curved != self._curved:
+        if curved != self.curved:
             self.residuals.hessian += self.residuals.bends if curved else -self.residuals.bends
-            self._curved = curved
+            self.curved = curved
 
     def set_penalties(self, penalties: BoundPenalties | None) -> None:
         """Add penalties to the cost from the next start on; None for none."""
@@ -239,7 +239,7 @@ class ConstrainedEngine(HybridEngine):
         super().set_penalties(
             None if penalties is None or constraints.ranges is None else constraints.of_ranges(penalties)
         )
-        self._curved = False
+        self.curved = False
         if self._bounds_of:
             of_rows = None if penalties is None else constraints.of_rows(penalties)
             for rows, columns, lower in self._bounds_of:

@@ -53,7 +53,8 @@ class NumpyEngine(Engine):
         self._state_weights = np.ones(ndx)  # set by a start of finite cost
         self._penalties: BoundPenalties | None = None
         self._sweep: lq.Sweep | None = None
-        self._exact, self._second_order_used, self._second, self.holds_bounds = False, False, None, False
+        self._exact, self._second_order_used, self._second = False, False, None
+        self.holds_bounds, self.curved = False, False
         self._schedule, self._active, self._gradient = ActiveSetSchedule(), np.zeros((N, nu)), np.zeros((N, nu))
         # One attribute, so that an interrupt never leaves states of one trajectory with controls of another.
         self._nominal = np.empty((0, self._space.nx)), np.empty((0, nu))

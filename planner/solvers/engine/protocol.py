@@ -159,11 +159,13 @@ class Engine(Protocol):
             to the cost's mean weight of each. Zero after a start.
         holds_bounds: Whether in the next sweeps a control at a bound that depends on the state keeps its value, in
             place of following the bound. False after a reset.
+        curved: Whether the last direction's Hessians have the curvature of distances; gains of a plan do without.
     """
 
     largest_control_weight: float
     state_regularization: float
     holds_bounds: bool
+    curved: bool
 
     def reset(self) -> None:
         """Restore the state of a new engine."""
