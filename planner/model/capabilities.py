@@ -136,11 +136,6 @@ def flies(mechanism: Mechanism) -> bool:
     return any(actuated[links].any() for links in bases) and not stands_on_ground(mechanism)
 
 
-def is_thrust(mechanism: Mechanism) -> bool:
-    """Whether something pushes a machine from outside: thrusters, or actuators on its free base."""
-    return bool(np.any(thrusters(mechanism))) or flies(mechanism)
-
-
 def ballistic_dofs(mechanism: Mechanism, x0: np.ndarray) -> np.ndarray:
     """(nv,) bool, translations of free bases that no force from outside stops: they fall, or drift as x0 (nx,) does.
 

@@ -83,7 +83,7 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
     if "time" in weights:
         terms.append(TimeCost(problem.duration, weights["time"], space_of(dynamics)))
     cost = terms[0] if len(terms) == 1 else SumCost(*terms)
-    return replace(problem, cost=cost, objective=Objective(weights, base, smoothing))
+    return replace(problem, cost=cost, objective=Objective(weights, base, smoothing if "energy" in weights else None))
 
 
 def _jerk(problem: Problem, weight: float) -> JerkCost:

@@ -137,8 +137,10 @@ def _first_round(
         soft = first._replace(weight=share * first.weight)
         plan = minimize(us, soft, most, first_line + len(history), tolerance)
         us, history = plan.us, history + list(plan.history)
+        if share < 1.0 and plan.status is Status.CONVERGED and len(history) > max_iterations:
+            return replace(plan, status=Status.MAX_ITERATIONS), history, soft
         if plan.status in (Status.NOT_FINITE, Status.INTERRUPTED) or len(history) > max_iterations:
-            break
+            return plan, history, soft
     return plan, history, first
 
 

@@ -220,3 +220,15 @@ def test_what_thrusters_carry_over_the_ground_is_no_jump(tmp_path):
     problem = load(tmp_path / "p.toml").problem
     assert problem.dynamics.mechanism.contacts_mode == "file"
     assert problem.goal_specs
+
+
+def test_what_lies_on_the_ground_does_not_make_a_drone_land(tmp_path):
+    """The goal is in the air; a box that nothing drives lies 2 m away."""
+    box = '<body name="box" pos="2 0 0.1"><freejoint/><geom type="box" size=".1 .1 .1" mass="1"/></body></worldbody>'
+    (tmp_path / "sled.xml").write_text(SHIP.replace("</worldbody>", box))
+    (tmp_path / "p.toml").write_text(
+        'model = "sled.xml"\nduration = 0.5\nstart = {}\n[[goal]]\nframe = "ship"\nposition = [0.5, 0, 1.5]\n'
+    )
+    problem = load(tmp_path / "p.toml").problem
+    assert problem.dynamics.mechanism.contacts_mode == "avoid"
+    np.testing.assert_array_equal(problem.x0, problem.dynamics.mechanism.home)

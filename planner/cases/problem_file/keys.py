@@ -44,8 +44,8 @@ KEYS = {
     "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), collision-free (a "
     "path that keeps its distance from what is avoided), tracking (feedback gains along that line), hold (the start "
     "against gravity), zero; "
-    "auto is collision-free where something is avoided, line where all joints have actuators, else the better of "
-    "tracking and hold",
+    "auto is what multiple shooting finds along a gait, or jumps to goals in the air; collision-free where something "
+    "is avoided, line where all joints have actuators, else the better of tracking and hold",
     "contacts": "model (the file's law, of springs and dampers), ground (a law for the mass of what stands), file "
     "(planes with the law that MuJoCo computes), avoid, off, or a table of their law, below; auto chooses",
     "settle": "true to put start and goal on the ground: what no actuator drives moves until it carries them; auto "

@@ -14,7 +14,7 @@ from planner.base.arguments import choice, number, short_repr
 from planner.base.data_files import check_keys
 from planner.base.errors import ModelError, PlannerError
 from planner.cases.problem_file.keys import GROUND, LAW, URDF
-from planner.model.capabilities import capabilities_of, floating_dofs, is_thrust
+from planner.model.capabilities import capabilities_of, floating_dofs, thrusters
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import MODES, stands_at
@@ -68,7 +68,7 @@ def lands(problem: Problem) -> bool:
     mechanism, cost = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
     if mechanism is None or cost is None or mechanism.contacts_mode != "avoid":
         return False
-    if not is_thrust(mechanism) and not np.any(floating_dofs(mechanism)):
+    if not np.any(thrusters(mechanism)) and not np.any(floating_dofs(mechanism)):
         return False
     return stands_at(model_index_of(mechanism), cost.x_ref[-1, : mechanism.nq], MIN_TOLERANCES["m"])
 

@@ -113,11 +113,13 @@ def file_pairs(survey: ModelIndex) -> list[Pair]:
 
 
 def stands_at(survey: ModelIndex, q: np.ndarray, within: float) -> bool:
-    """Whether shapes are nearer than `within` m to ground of which "file" knows the law, at positions q (nq,)."""
+    """Whether a machine is nearer than `within` m to ground of which "file" knows the law, at positions q (nq,)."""
     mujoco, model = load_mujoco(), survey.model
-    pairs, data = file_pairs(survey), mujoco.MjData(model)
-    if not pairs or any(file_law_reason(model, pair) for pair in pairs):
+    pairs, data, machines = file_pairs(survey), mujoco.MjData(model), list(machine_roots(survey))
+    if any(file_law_reason(model, pair) for pair in pairs):
         return False
+    roots = model.body_rootid[model.geom_bodyid]
+    pairs = [pair for pair in pairs if np.isin(roots[list(pair.geoms)], machines).any()]
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
     return any(mujoco.mj_geomDistance(model, data, *pair.geoms, 2.0 * within, None) < within for pair in pairs)

@@ -70,7 +70,7 @@ def phases_of_jumps(
     """
     mechanism, found, end = dynamics.mechanism, list[dict[str, Any]](), 0.0
     goals = list(_in_flight(task, poses, dynamics))
-    if not goals:
+    if not goals or mechanism.reduction is not None:
         return []
     standing = standing_feet(mechanism, poses.q[0])
     feet, bend = [foot.name for foot in standing], BENT * height_of(mechanism, poses.q[0], standing)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.base.errors import PlannerError
 from planner.dynamics.kinematics import center_of_mass
 from planner.model.mechanism import Mechanism
 from planner.problem.initial_guess import minimum_jerk
@@ -35,7 +34,7 @@ def jumping(
     mechanism: Mechanism, q: np.ndarray, feet: list[Foot], places: np.ndarray, flights: list[tuple[int, int]],
     ranges: np.ndarray, dt: float,
 ) -> np.ndarray | None:  # fmt: skip
-    """Configurations (N+1, nq) of a motion with flights; None where it is no higher in one than its parabola.
+    """Configurations (N+1, nq) of a motion with flights; None where it is lower than their parabolas, or legs lack.
 
     Args:
         mechanism: The machine.
@@ -45,10 +44,9 @@ def jumping(
         flights: See flights_of().
         ranges: (nv, 2) rad or m, of hinges and slides.
         dt: s.
-
-    Raises:
-        PlannerError: Its legs do not reach the ground on the way.
     """
+    if mechanism.reduction is not None or mechanism.has_closed_chains:
+        return None
     n = feet[0].normal
     wanted = _heights(center_of_mass(mechanism, q) @ n, flights, abs(float(mechanism.gravity @ n)), dt)
     if wanted is None:
@@ -64,12 +62,7 @@ def jumping(
         for a, b in flights:
             share = minimum_jerk(np.linspace(0.0, 1.0, b - a + 1))[0][:, None]
             q[a : b + 1, at] = q[a, at] + share * (q[b, at] - q[a, at])
-    if errors.max() > REACHED:
-        raise PlannerError(
-            f"the jump takes a foot {errors.max():.2g} m further than its leg reaches within its ranges: expected "
-            "a longer flight, a lower goal, or more time before and after it."
-        )
-    return q
+    return q if errors.max() <= REACHED else None
 
 
 def height_above_legs(

@@ -11,7 +11,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.base.gl import load_mujoco
 from planner.base.measured import Quantity
-from planner.model.capabilities import capabilities_of, floating_dofs, is_thrust
+from planner.model.capabilities import capabilities_of, flies, floating_dofs, thrusters
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import file_pairs
 from planner.model.mjcf.initial_overlaps import TOUCH_ROUNDING, can_separate
@@ -50,7 +50,7 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     shapes.at_start = set(began)
     knots = _knots(plan, mechanism)
     floor = [pair for q in (start, *knots) for pair in shapes.touching(q) if shapes.is_ground(pair)]
-    thrusting = is_thrust(mechanism)
+    thrusting = bool(np.any(thrusters(mechanism))) or flies(mechanism)
     flying, off = thrusting or bool(np.any(floating_dofs(mechanism))), problem.parameters.get("contacts") == "off"
     if floor and of_file(problem) and off and shapes.unactuated and not thrusting:
         return [fix(problem, "contacts", "ground", "ground_removed", pair=shapes.names(floor[0]))]

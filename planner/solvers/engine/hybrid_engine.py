@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -216,12 +217,21 @@ class ConstrainedEngine(HybridEngine):
         if relinearize:
             self._linearize(self._exact)
         if active_set:
+            schedule, sets = copy(self._schedule), [part.copy() for part in self._sets]
             self._use_curvature(True)
             direction = super().compute_direction(mu, False)
             if direction.definite:
                 return direction
+            self._schedule = schedule  # the search for the active set begins where it was
+            for part, before in zip(self._sets, sets, strict=True):
+                part[:] = before
         self._use_curvature(False)
         return super().compute_direction(mu, False, active_set)
+
+    @property
+    def _sets(self) -> tuple[np.ndarray, ...]:
+        """What a search for the active set changes."""
+        return tuple(self._w._arrays[name] for name in ("active_bounds", "penalty_active", "penalty_side"))
 
     def _linearize(self, second: bool) -> None:
         super()._linearize(second)
