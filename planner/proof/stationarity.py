@@ -8,7 +8,9 @@ Curvature. A stationary point may be a maximum or a saddle. With v(n) in u = us 
 sweep and H(n) = R + B'PB, the LQ problem's cost is 1/2 sum of v'H v, so in w = L' v with H = L L' its Hessian is the
 identity, and the sign of the true Hessian's lowest eigenvalue is that in U (Sylvester's law of inertia). Lanczos'
 method finds it from differences of the adjoint gradient (Nocedal & Wright, section 5.1 and 7.1), without controls that
-an active bound holds. It counts only where the cost falls along its eigenvector.
+an active bound holds. It counts only where the cost falls along its eigenvector. Constraints have their penalties: an
+augmented Lagrangian has a minimum where the problem has one if these are stiff enough (N&W theorem 17.5), and those of
+the last round need not be. So a negative curvature has to last with STIFFER ones of the same multipliers.
 
 Contacts. The gradient by the controls is zero where they touch nothing: then a goal of the untouched body is no goal.
 """
@@ -16,6 +18,8 @@ Contacts. The gradient by the controls is zero where they touch nothing: then a 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from copy import copy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +27,7 @@ import numpy as np
 from planner.base.measured import Measurement
 from planner.dynamics.function import FunctionDynamics
 from planner.model.coordinates import coordinates_of
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.derivative_check import AGREES, DERIVATIVE_BOUND
 from planner.problem.goals import goals_of, terms_of
 from planner.problem.plan import Plan
@@ -36,6 +41,7 @@ CURVATURE_BOUND = 0.01  # of the LQ problem's curvature: lower ones are rounding
 LANCZOS_STEPS = 8  # the spectrum is 1 but for a few eigenvalues: the lowest is found by then
 STEPS = (1e-3, 1e-4, 1e-5, 1e-6)  # of a difference of gradients, as shares of the root of the cost
 SMOOTH = 0.1  # relative: gradients' differences at a length and a quarter of it are further apart if not smooth
+STIFFER = (10.0, 100.0)  # times the weights of the last round's penalties
 FALLS = (1e-6, 1e-4, 1e-2, 0.1)  # of the cost, by which its curvature lets it fall at a length that is tried
 UNREACHED = 1e-6  # of what the cost wants of a coordinate: all that the controls move it to first order
 WANTED = 0.01  # of the cost: what moving a coordinate would gain
@@ -236,13 +242,30 @@ class _ReducedHessian:
         """The negative curvature that is left, along which the cost falls."""
         if not self.free.any():
             return Measurement("negative_curvature", 0.0, "", CURVATURE_BOUND, "all controls are at their bounds")
-        lowest, w = self.lowest()
+        (lowest, w), tested = self.lowest(), self
         if not np.isfinite(lowest):
             return Measurement("negative_curvature", np.nan, "", None, NOT_SMOOTH)
         note = "of the cost by the controls, relative to the LQ problem's: a minimum has none"
-        if lowest < -CURVATURE_BOUND and not self._falls(w, lowest):
+        for factor in STIFFER if self.plan.bound_penalties is not None else ():
+            if lowest < -CURVATURE_BOUND:
+                stiffer = self._with_penalties(factor)
+                other = stiffer.lowest()
+                if np.isfinite(other[0]):
+                    (lowest, w), tested = other, stiffer
+        if lowest < -CURVATURE_BOUND and not tested._falls(w, lowest):
             lowest, note = 0.0, f"{note}; the lowest found is {lowest:.2g}, and the cost does not fall along it"
         return Measurement("negative_curvature", max(0.0, -lowest), "", CURVATURE_BOUND, note)
+
+    def _with_penalties(self, factor: float) -> _ReducedHessian:
+        """The same with penalties of so many times the weights, whose forces along the plan are those of its own."""
+        of, given, plan = self.problem.trajectory_constraints, self.plan.bound_penalties, self.plan
+        assert of is not None  # which the penalties are of
+        assert given is not None
+        e, found = of.deviations(plan.xs, plan.us), copy(self)
+        lower = np.where(e < given.lower, e + (given.lower - e) / factor, given.lower)
+        upper = np.where(e > given.upper, e + (given.upper - e) / factor, given.upper)
+        found.plan = replace(plan, bound_penalties=BoundPenalties(lower, upper, factor * given.weight))
+        return found
 
     def _length(self, w: np.ndarray) -> float:
         """The largest length at which differences along w (N, nu) are those of a smooth cost; NaN for none."""

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -129,3 +130,35 @@ def test_the_first_line_says_where_the_curvature_was_not_checked():
     plan = planner.solve(reach(ball, [0.3, 0.1], contacts=wrong_optimality.ContactLaw.resting(1.0)))
     proof = planner.prove(plan, rollouts=0, optimal=False)
     assert "optimal (curvature not checked)" in proof.headline, proof.headline
+
+
+@pytest.mark.parametrize(("end", "multiplier", "minimum"), [([2.0, 0.0], 2.0, False), ([0.0, 1.0], 1.0 / 3.0, True)])
+@pytest.mark.parametrize("weight", [5.0, 0.05])
+def test_constraints_have_penalties_that_are_stiff_enough(end, multiplier, minimum, weight):
+    """Of the points where x^2 / 4 + (y^2 + y^4) / 2 = 1 the one nearest to 0, and one that is only stationary.
+
+    At (0, 1) the Lagrangian of half the squared distance has the curvatures 1 - 1/6 along the curve and 1 - 7/3 across
+    it, to which a penalty adds 9 weights: 0.05 is too little. At (2, 0) that along the curve is 1 - 2, which no penalty
+    makes positive.
+    """
+    dynamics = FunctionDynamics(lambda x, u: x + u, 2, 2, 1.0, "discrete")
+    away = planner.Constraint(
+        lambda xs: xs[:, 0] ** 2 / 4.0 + 0.5 * (xs[:, 1] ** 2 + xs[:, 1] ** 4), lower=1.0, when="end", name="away"
+    )
+    cost = TrackingCost(
+        np.stack([np.zeros((2, 2)), np.eye(2)]), 1e-9 * np.eye(2)[None], np.zeros((2, 2)), np.zeros((1, 2))
+    )
+    problem = Problem(dynamics, cost, np.zeros(2), us=np.array([end]), constraints=[away])
+    constraints: Any = problem.trajectory_constraints
+    scale, none = constraints.rows.scale[0], constraints.zero_penalties()
+    lower, weights = np.where(np.isfinite(none.lower), none.lower, 0.0), 0.0 * none.weight
+    lower[-1], weights[-1] = scale * (1.0 + multiplier / weight), weight / scale**2
+    plan = replace(planner.solve(problem, planner.SolverOptions(max_iterations=1)), status=planner.Status.CONVERGED)
+    plan = replace(
+        plan,
+        xs=np.array([[0.0, 0.0], end]),
+        us=np.array([end]),
+        bound_penalties=none._replace(lower=lower, weight=weights),
+    )
+    measured = optimality_of(plan)["negative_curvature"]
+    assert measured.passed == minimum, measured
