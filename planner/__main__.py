@@ -38,18 +38,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # packages turn an interruption of their import into errors of their own
         signal.signal(signal.SIGINT, _leave)
-    if argv is None:
-        gc.disable()  # until the command is imported, see commands: no garbage is found in what stays
     try:
         from planner.cli.commands import command
     finally:
         signal.signal(signal.SIGINT, before)
-    code = command(list(sys.argv[1:] if argv is None else argv))
-    if argv is None:
-        _done.append(code)
-        if before is signal.default_int_handler:  # all is written: Ctrl-C may end the rest
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
-    return code
+    return command(list(sys.argv[1:] if argv is None else argv))
+
+
+def run() -> NoReturn:
+    """Run the command of this process, which has nothing to do after it."""
+    gc.disable()  # until the command is imported, see commands: no garbage is found in what stays
+    _done.append(main())
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # all is written: Ctrl-C may end the rest
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    sys.exit(_done[0])
 
 
 def _leave(*_: object) -> NoReturn:
@@ -58,4 +60,4 @@ def _leave(*_: object) -> NoReturn:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -138,7 +138,7 @@ def test_ctrl_c_while_libraries_are_imported_is_one_sentence(tmp_path):
 def test_ctrl_c_while_python_ends_prints_no_traceback(tmp_path):
     code = (
         "import atexit, sys, time; atexit.register(lambda: (print('ending', flush=True), time.sleep(60)));"
-        "from planner.__main__ import main; sys.argv[1:] = ['--version']; sys.exit(main())"
+        "from planner.__main__ import run; sys.argv[1:] = ['--version']; run()"
     )
     child = subprocess.Popen(
         [sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -150,7 +150,17 @@ def test_ctrl_c_while_python_ends_prints_no_traceback(tmp_path):
     assert (child.returncode, err) == (-signal.SIGINT, "")
 
 
-UP = "import sys; print('up', flush=True); from planner.__main__ import main; sys.exit(main())"
+def test_a_script_of_ones_own_goes_on_after_main(tmp_path):
+    """main() ended the process with its own exit code and left open files without their data."""
+    code = (
+        "import gc, sys; from planner.__main__ import main; out = open('own.txt', 'w'); sys.argv[1:] = ['--version'];"
+        "out.write(f'{main()} {gc.isenabled()}'); sys.exit(7)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, timeout=60)
+    assert (done.returncode, (tmp_path / "own.txt").read_text()) == (7, "0 True")
+
+
+UP = "import sys; print('up', flush=True); from planner.__main__ import run; run()"
 
 
 def whole(folder):

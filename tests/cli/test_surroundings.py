@@ -112,14 +112,14 @@ def test_who_waited_for_a_kernel_does_not_wait_for_the_rest(monkeypatch, tmp_pat
 
 ENDING = """
 import atexit, sys
-from planner.__main__ import main
+from planner.__main__ import run
 class Loud:
     def __del__(self):
         print("taken apart")
 loud = Loud()
 atexit.register(print, "at exit", end="")
 sys.argv = ["planner", "list", *sys.argv[1:]]
-sys.exit(main())
+run()
 """
 
 
