@@ -84,9 +84,9 @@ def choice(name: str, value: Any, choices: Collection[str]) -> str:
     raise PlannerError(f"{name} is {short_repr(value)}, expected one of: {', '.join(choices)}.{hint}")
 
 
-def word_or_numbers(name: str, value: str, words: Sequence[str], example: str) -> str:
+def word_or_numbers(name: str, value: Any, words: Sequence[str], example: str) -> str:
     """Return a word that may stand in place of numbers; the error has an example of these."""
-    if value in words:
+    if isinstance(value, str) and value in words:
         return value
     others = " or ".join(map(repr, words))
     raise PlannerError(

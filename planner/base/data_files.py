@@ -10,6 +10,7 @@ import math
 import re
 import tomllib
 from collections.abc import Collection, Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +105,8 @@ def check_values(table: Mapping[str, Any], rules: Mapping[str, Mapping[str, Any]
         rules: By key, or by TABLE.KEY for a key of a table within, or of each of several; `kind`: it is of this one of
             KINDS; `choices`: it is one of these words; else it is a number with the bounds of number(), or of count()
             where it is `whole`. In place of a word or a number it may be of one of the types `others` (a number that
-            may stand in place of a word has its bounds), and in place of a number a `word`.
+            may stand in place of a word has its bounds), in place of a number a `word`, or infinite where that is
+            `infinite`. With an `example` of numbers, the error of a word shows it.
 
     Returns:
         The values of the keys, without those of tables within.
@@ -129,19 +131,18 @@ KINDS = {"a text": str, "true or false": bool, "a table": Mapping}
 
 def _checked(
     name: str, value: Any, kind: str = "", choices: Collection[str] = (), others: tuple[type, ...] = (),
-    word: str = "", whole: bool = False, example: str = "", **bounds: Any,
+    word: str = "", whole: bool = False, example: str = "", infinite: bool = False,
+    **bounds: Any,
 ) -> Any:  # fmt: skip
     """A value by the rule of its key."""
     if kind:
         if not isinstance(value, KINDS[kind]):
             raise PlannerError(f"{name} is {short_repr(value)}, expected {kind}.")
         return value
-    if isinstance(value, others) and not isinstance(value, (bool, float, int)):
+    if (isinstance(value, others) and not isinstance(value, Real)) or (infinite and value == math.inf):
         return value
-    if example and isinstance(value, str):
-        return word_or_numbers(name, value, list(choices), example)
-    if choices and not (float in others and isinstance(value, (float, int))):
-        return choice(name, value, choices)
+    if choices and not (float in others and isinstance(value, Real)):
+        return word_or_numbers(name, value, list(choices), example) if example else choice(name, value, choices)
     if isinstance(value, str) and value == word:
         return value
     try:

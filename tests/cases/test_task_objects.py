@@ -1,5 +1,8 @@
 """task() takes Limits, Constraints and single objects as Python has them, and refuses what is no number."""
 
+import re
+from types import MappingProxyType
+
 import numpy as np
 import pytest
 from machines import gantry
@@ -49,6 +52,28 @@ def test_limits_and_constraints_of_python_are_kept():
 def test_a_limit_that_is_not_a_number_is_refused(limits):
     with pytest.raises(planner.PlannerError, match=r"expected (a finite number|numbers)"):
         asked(limits=limits)
+
+
+@pytest.mark.parametrize("of", [tuple, np.array], ids=["tuple", "array"])
+def test_lists_and_tables_may_be_of_any_type_and_bounds_infinite(of):
+    constraint = {"along": of([1.0, 0.0, 0.0]), "upper": 9.0, "when": of([0.2, 0.5]), "frame": "cart"}
+    cart = planner.Mechanism.from_mjcf(CART.replace("<body>", '<body name="cart">'))
+    for control in (MappingProxyType({"drive": 9.0}), np.inf, of([-9.0, 9.0])):
+        limits = {"control": control, "final": of(["rail"])}
+        planner.task(cart, start=cart.home, goals=[GOAL], duration=1.0, constraint=[constraint], limits=limits)
+
+
+@pytest.mark.parametrize(
+    ("keys", "form"),
+    [
+        ({"limits": {"position": 3.0}}, "elbow = [-1.0, 1.0]"),
+        ({"limits": {"position": [-1.0, 1.0]}}, "elbow = [-1.0, 1.0]"),
+        ({"constraint": [{"frame": "world", "along": "x", "upper": 9.0, "when": 0.5}]}, "when = [0.2, 0.5]"),
+    ],
+)  # fmt: skip
+def test_a_wrong_value_is_told_each_form_that_is_right(keys, form):
+    with pytest.raises(planner.PlannerError, match=re.escape(form)):
+        asked(**keys)
 
 
 def test_a_constraint_that_is_not_a_number_is_refused():

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from planner.cases.problem_file.reference_guess import GUESSES
 from planner.dynamics.rigid_body import MAX_SUBSTEPS
@@ -191,8 +194,11 @@ TABLES = {
     "weights": WEIGHTS, "limits": LIMITS, "avoid": AVOID, "goal": GOAL, "follow": FOLLOW, "attach": ATTACH,
     "obstacle": OBSTACLE, "phase": PHASE, "constraint": CONSTRAINT,
 }  # fmt: skip
-_TABLE, _AXIS = (dict,), {"choices": ("x", "y", "z"), "others": (list,)}
-_LIMIT: dict[str, Any] = {"choices": ("model", "off"), "others": (dict, list, float), "greater_than": 0.0}
+_TABLE, _LIST = (Mapping,), (list, tuple, np.ndarray)
+_AXIS: dict[str, Any] = {"choices": ("x", "y", "z"), "others": _LIST}
+_LIMIT: dict[str, Any] = {
+    "choices": ("model", "off"), "others": (*_TABLE, *_LIST, float), "greater_than": 0.0, "infinite": True,
+}  # fmt: skip
 VALUES: dict[str, dict[str, Any]] = {
     "dt": {"word": "auto", "greater_than": 0.0}, "substeps": {"word": "auto", "whole": True, "maximum": MAX_SUBSTEPS},
     "starts": {"whole": True, "maximum": MAX_STARTS}, "seed": {"whole": True, "minimum": 0},
@@ -204,10 +210,11 @@ VALUES: dict[str, dict[str, Any]] = {
     "limits.control": _LIMIT | {"example": "control = 5.0 or { elbow = 5.0 }, in the unit of the actuators"},
     "limits.position": {"choices": ("model", "off"), "others": _TABLE, "example": "position = { elbow = [-1.0, 1.0] }"},
     "limits.velocity": _LIMIT | {"example": "velocity = 2.0 or { elbow = 2.0 }, rad/s or m/s"},
-    "limits.margin": {"others": _TABLE, "minimum": 0.0}, "limits.final": {"choices": ("exact",), "others": (list,)},
+    "limits.margin": {"others": _TABLE, "minimum": 0.0}, "limits.final": {"choices": ("exact",), "others": _LIST},
     "limits.tolerance": {"greater_than": 0.0}, "constraint.pointing": _AXIS, "constraint.along": _AXIS,
     "constraint.axis": _AXIS, "constraint.within": {"greater_than": 0.0}, "constraint.lower": {},
-    "constraint.upper": {}, "constraint.when": {"choices": ("always", "end"), "others": (list,)},
+    "constraint.upper": {},
+    "constraint.when": {"choices": ("always", "end"), "others": _LIST, "example": "when = [0.2, 0.5]"},
     "constraint.tolerance": {"greater_than": 0.0},
     **{f"constraint.{name}": {"kind": "a text"} for name in ("frame", "power", "chain", "name")},
 }  # fmt: skip
