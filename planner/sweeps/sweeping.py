@@ -110,9 +110,9 @@ def sweep(
 ) -> Sweep:  # fmt: skip
     """Solve one problem at many parameters, and prove each plan where that is asked for.
 
-    A task that raises, runs for too long or ends its worker is in the table with its reason; the others go on. Where no
-    task of a case or a file can be built, nothing is written. Ctrl-C ends a sweep and keeps what is finished, as does a
-    full disk; with `resume` the same call does the rest.
+    A task that raises, runs for too long or ends its worker is in the table with its reason; the others go on. Of a
+    case or a file 32 evenly spaced tasks are tried first: where none can be built, nothing is written. Ctrl-C ends a
+    sweep and keeps what is finished, as does a full disk; with `resume` the same call does the rest.
 
     Args:
         build: A case's name, the path of a problem file, or a function of the parameters that returns a Problem; for

@@ -16,7 +16,7 @@ import planner
 from planner.sweeps.grid import Grid
 from planner.sweeps.store import TIMES, Shards, plan_place
 from planner.sweeps.sweeping import sweep
-from planner.sweeps.work import Work, run_batch
+from planner.sweeps.work import Work, check_buildable, run_batch
 
 GRID = {"height": [1, 2, 3, 4, 5], "horizon": [50, 60]}
 
@@ -274,6 +274,26 @@ def test_input_of_which_no_task_can_be_built_is_refused_and_nothing_is_written(t
     typo = run("sweep", "reach.toml", "--set", "weights.effort=1,2", "--out", "out", cwd=tmp_path)
     refused(typo, "'duratoin'")
     assert [one.name for one in tmp_path.iterdir()] == ["reach.toml"]
+
+
+@pytest.mark.parametrize(("right", "most"), [((), 32), ((700,), 32), (range(700, 1000), 23)])
+def test_of_a_large_grid_some_tasks_are_built_before_it_is_refused(monkeypatch, right, most):
+    """A thousand machines were built one after the other; the first 500 may fail by one value of a parameter."""
+    built = []
+
+    def build(_, task):
+        built.append(task)
+        if task not in right:
+            raise planner.PlannerError(f"task {task} is wrong.")
+
+    monkeypatch.setattr(Work, "problem", build)
+    work = Work(Grid({"height": tuple(range(1000))}), "hopper")
+    if len(right) > 1:
+        check_buildable(work)
+    else:
+        with pytest.raises(planner.PlannerError, match="task 0 is"):
+            check_buildable(work)
+    assert len(built) == most  # of 0, 32, 64, 96, ..., 999 the 23rd is 708
 
 
 def test_the_command_says_the_first_reason_of_each_status(tmp_path):
