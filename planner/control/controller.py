@@ -172,7 +172,7 @@ class Controller(StateMachine):
 
     @goal.setter
     def goal(self, goal: Any) -> None:
-        if is_of_frames(goal):
+        if is_of_frames(self.problem, goal, self._window.frames):
             if not self._window.frames:
                 raise PlannerError("goal is a table of frames and no frame of this problem has one, expected a state.")
             places = {

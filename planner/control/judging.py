@@ -182,7 +182,7 @@ def _follows(loop: ClosedLoopRun) -> Section:
     half = np.flatnonzero(loop.t >= 0.5 * loop.t[-1])[:: max(loop.substeps // 4, 1)]
     problem, found = loop.controller.problem, []
     first = loop.goal(0.0)
-    if is_of_frames(first):
+    if is_of_frames(problem, first):
         m = problem.dynamics.mechanism
         q = loop.xs[half, : m.nq]
         for frame in first:

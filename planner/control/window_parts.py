@@ -9,7 +9,7 @@ too: the machine then goes as near as its cost lets it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import fields, replace
 from typing import Any
 
@@ -191,9 +191,16 @@ def goal_states(problem: Problem, goal: Any, horizon: int) -> np.ndarray:
     return states("goal", goal, space, () if np.ndim(goal) < 2 else (horizon + 1,))
 
 
-def is_of_frames(goal: Any) -> bool:
-    """Whether a goal is a table of frames: it has positions, whose three numbers no joint has."""
-    return isinstance(goal, Mapping) and any(_is_position(at) for at in goal.values())
+def is_of_frames(problem: Problem, goal: Any, frames: Collection[str] = ()) -> bool:
+    """Whether a goal is a table of frames: it has positions, whose three numbers no joint has.
+
+    So is one with other lists for `frames` of which no joint has the name: positions that are to be refused.
+    """
+    if not isinstance(goal, Mapping):
+        return False
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    frames = set(frames).difference(() if mechanism is None else mechanism.joint_names)
+    return any(_is_position(at) or (frame in frames and np.ndim(at) > 0) for frame, at in goal.items())
 
 
 def _is_position(at: Any) -> bool:

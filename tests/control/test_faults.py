@@ -236,6 +236,14 @@ def test_a_place_out_of_reach_holds_the_arm():
     assert [e.values.get("fault") for e in c.events if e.code is EventCode.GOAL] == ["GOAL_REACH"]
 
 
+def test_a_position_of_other_than_three_numbers_is_refused_as_one():
+    """It was taken for the angle of a joint of that name, which there is not."""
+    c = planner.Controller(hand_problem())
+    for wrong in ([0.4, 0.0], [0.4, 0.0, 0.0, 0.0], [[0.4, 0.0]]):
+        with pytest.raises(planner.PlannerError, match=r"the goal of hand .* expected .*3"):
+            c.goal = {"hand": wrong}
+
+
 def test_the_reach_is_that_of_the_stretched_arm_and_never_less_than_a_pose():
     arm = planner.Mechanism.from_mjcf(HAND)
     center, most = reach(arm, "hand")
