@@ -122,6 +122,21 @@ def test_a_plan_that_the_files_own_step_no_longer_repeats_is_a_regression(before
     assert [one.regressed for one in regression._changes(stored, now, 0.05)] == regressed
 
 
+def test_a_plan_that_passes_now_is_no_regression_by_what_is_said_of_the_files_own_step():
+    """Of the stored FAIL it had not been said."""
+    now = {
+        "verdict": "PASS",
+        "mode": "feedback",
+        "feasible": True,
+        "optimal": True,
+        "robustness": "",
+        "not_checked": [],
+    }
+    stored = now | {"verdict": "FAIL", "own_step": ""}
+    changes = list(regression._changes(stored, now | {"own_step": "At its own step."}, 0.05))
+    assert [(one.step, one.regressed) for one in changes] == [("verdict", False)]
+
+
 @pytest.mark.parametrize(
     ("one", "other", "same"),
     [
