@@ -122,10 +122,9 @@ def prove(
     judged = {"open-loop": [*steps["open-loop"], convergence.section], "feedback": steps["feedback"]}
     sound = all(section.passed for section in required.values())
     goals = goals_of(problem, plan.xs)
-    in_file = {
-        mode: found[0] for mode, found in your_file(plan, problem, goals, runs=runs, mjcf=mjcf, twin=twin).items()
-    }
     followed = [m for m in MODES if sound and all(step.passed for step in judged[m])]
+    found = your_file(plan, problem, goals, runs=runs, followed=followed or MODES[1:], mjcf=mjcf, twin=twin)
+    in_file = {m: section for m, (section, _) in found.items()}
     mode = next((m for m in followed if in_file[m].passed), None)
     broken = [m for m in MODES if not all(step.passed for step in judged[m])]
     # The mode that passed, else the one with the smaller error where it fails; gains at equal errors in the file.

@@ -241,3 +241,18 @@ def test_a_joint_that_stops_within_a_step_of_the_simulator_passes_in_the_file(tm
     assert run.integrator == "rosenbrock"
     assert section.passed, section.failures
     assert planner.prove(plan, rollouts=0).passed
+
+
+def test_each_mode_passes_in_a_stiff_file_by_an_integrator_of_its_own(tmp_path):
+    """Upright, the arm doubles an error every 0.3 s, also that of MuJoCo's first-order method: gains take it back."""
+    upright = WRIST.replace(' gravity="0 0 0"', "").replace("0 0 -0.3", "0 0 0.3")
+    (tmp_path / "wrist.xml").write_text(upright, encoding="utf-8")
+    lines = 'model = "wrist.xml"\nstart = [0.0, 0.0]\ngoal = [0.5, 1.0]\nduration = 2.0\nintegrator = "rosenbrock"\n'
+    (tmp_path / "wrist.toml").write_text(lines, encoding="utf-8")
+    plan = planner.solve(load(tmp_path / "wrist.toml").problem)
+    twin = CompiledTwin(plan.twin)
+    native = [replay_in(twin, plan, feedback=fed, integrator="IMPLICITFAST") for fed in (False, True)]
+    assert [bool(np.all(np.abs(run.error) <= path_error_bounds(plan))) for run in native] == [False, True]
+    proof = planner.prove(plan, rollouts=0)
+    assert (proof.verdict, proof.mode) == ("PASS", "open-loop"), proof.reason
+    assert any("Rosenbrock" in one.note for one in proof.your_file.measured)
