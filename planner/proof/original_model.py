@@ -57,7 +57,6 @@ from planner.proof.error_scales import (
     replayed_violations,
     worst_by_unit,
 )
-from planner.proof.own_step import own_step
 from planner.proof.reached_limits import clamps_hit, largest_excess, stops_hit
 from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin, unmodelled_of, with_model
@@ -135,11 +134,7 @@ def your_file(
                 best[mode] = section, both[mode]
         if all(best[mode][0].passed for mode in followed):  # by one integrator or another; more cannot help
             break
-    at_own_step = own_step(plan, problem, best[MODES[1]][1], goals)
-    return {
-        mode: (replace(section, measured=(*section.measured, *at_own_step)), run)
-        for mode, (section, run) in best.items()
-    }
+    return dict(best)
 
 
 def _not_applicable(why: str) -> dict[str, tuple[Section, Replay | None]]:

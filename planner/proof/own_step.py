@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from decimal import ROUND_CEILING, Context
 
 import numpy as np
 
@@ -73,7 +74,9 @@ def _judged_by(run: Replay) -> str:
     """How the replay that was judged was simulated; MuJoCo's integrators as the file has them."""
     if run.integrator not in _WRITTEN:
         return f"it was judged at a step of {run.timestep:.3g} s"
-    option = f'`<option timestep="{run.timestep:.6g}" integrator="{_WRITTEN[run.integrator]}"/>`'
+    # up: a replay's steps are at most as long as the file's, and a step shorter by a digit would take one step more
+    written = float(Context(prec=12, rounding=ROUND_CEILING).create_decimal(f"{run.timestep:.15g}"))
+    option = f'`<option timestep="{written:.12g}" integrator="{_WRITTEN[run.integrator]}"/>`'
     return f"your file repeats it with {option}, by which it was judged"
 
 

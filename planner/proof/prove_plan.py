@@ -36,6 +36,7 @@ from planner.proof.feedback_rate import controller_section, slowest_rate
 from planner.proof.goal_regulator import RegulatedRun, hold_gain, hold_section, simulate_regulator
 from planner.proof.original_model import PATH_IN_FILE, your_file
 from planner.proof.original_model import TITLE as FILE
+from planner.proof.own_step import own_step
 from planner.proof.replay_errors import goal, tracking
 from planner.proof.replays.compiled_twin import another_model, unmodelled_of
 from planner.proof.replays.replaying import Replay, replay_in, twin_of
@@ -133,7 +134,9 @@ def prove(
         or min(reversed(followed), key=lambda m: bound_excess([in_file[m]]), default=None)
         or min(broken, key=lambda m: bound_excess(judged[m]), default="open-loop")
     )
-    given = in_file[seen if followed else "feedback"]
+    given, in_given = found[seen if followed else "feedback"]
+    if in_given is not None:
+        given = replace(given, measured=(*given.measured, *own_step(plan, problem, in_given, goals)))
     repeated = bool(followed)
     converged = optimality(plan, problem, now, repeated)
     passed = mode is not None and (converged.passed or not optimal)

@@ -21,10 +21,12 @@ def arm(world: str = "", joint: str = "", option: str = "") -> str:
     return ARM.format(world=world, joint=joint, option=option)
 
 
-def plan_of(text: str, goal: list[float], prescribed: tuple[str, ...] = (), **reading: object) -> planner.Plan:
-    """From rest at home to rest at the joints' goal, in 1 s."""
+def plan_of(
+    text: str, goal: list[float], prescribed: tuple[str, ...] = (), dt: float = 0.02, **reading: object
+) -> planner.Plan:
+    """From rest at home to rest at the joints' goal, in 50 stages."""
     mechanism = Mechanism.from_mjcf(text, **reading)
-    dynamics = RigidBodyDynamics(mechanism, 0.02, prescribed=prescribed)
+    dynamics = RigidBodyDynamics(mechanism, dt, prescribed=prescribed)
     there = np.concatenate([goal, np.zeros(mechanism.nv)])
     cost = TrackingCost.joints(dynamics, there, 50, effort=0.001, final_position=1e3, final_velocity=1e2)
     us = None if prescribed else np.tile(quasi_static_controls(mechanism, mechanism.home), (50, 1))
@@ -197,6 +199,17 @@ def test_the_files_own_step_is_shown_and_said_where_it_fails():
     assert {one.name: one.note for one in fine.your_file.measured}["own_step_errors"] == (
         "none, at your file's own step 0.0001 s Euler"
     )
+
+
+def test_the_step_that_is_said_is_that_of_the_replay_though_it_has_no_end_of_digits():
+    """A twentieth of a sixtieth of a second: written a little too short, a stage would take 21 steps of it."""
+    turned = arm(option='<option timestep="0.01"/>').replace('axis="0 0 1"', 'axis="0 1 0"')
+    coarse = proof_of(plan_of(turned, [1.5], dt=1 / 60))
+    written = re.search(r'<option timestep="[0-9.]+" integrator="RK4"/>', coarse.own_step)[0]
+    mended = proof_of(plan_of(turned.replace('<option timestep="0.01"/>', written), [1.5], dt=1 / 60))
+    assert mended.replay.substeps == coarse.replay.substeps == 20
+    notes = {one.name: one.note for one in mended.your_file.measured}
+    assert notes["own_step_errors"].startswith("none beside the above")
 
 
 def test_a_file_with_the_step_of_the_replay_is_not_simulated_twice():

@@ -256,3 +256,4 @@ def test_each_mode_passes_in_a_stiff_file_by_an_integrator_of_its_own(tmp_path):
     proof = planner.prove(plan, rollouts=0)
     assert (proof.verdict, proof.mode) == ("PASS", "open-loop"), proof.reason
     assert any("Rosenbrock" in one.note for one in proof.your_file.measured)
+    assert proof.own_step.endswith("it was judged at a step of 0.0005 s.")  # by no method that a file can ask for
