@@ -137,6 +137,8 @@ def prove(
     given, in_given = found[seen if followed else "feedback"]
     if in_given is not None:
         given = replace(given, measured=(*given.measured, *own_step(plan, problem, in_given, goals)))
+    lost = tuple(one for step in judged["feedback"] for one in step.failures if mode == MODES[0])
+    lost_in_file = in_file["feedback"].failures if mode == MODES[0] and not lost else ()
     repeated = bool(followed)
     converged = optimality(plan, problem, now, repeated)
     passed = mode is not None and (converged.passed or not optimal)
@@ -173,9 +175,7 @@ def prove(
         ),
         sections=sections, replay=runs[seen], replays=runs, errors=errors, convergence=convergence, asked=asked,
         planned_without=tested,
-        lost_with_gains=tuple(
-            one for step in (*judged["feedback"], in_file["feedback"]) for one in step.failures if mode == MODES[0]
-        ),
+        lost_with_gains=lost or lost_in_file, lost_in_file=bool(lost_in_file),
         not_checked=(
             *([f"without {' and '.join(untested)}"] if untested else []), *_said_in_file(given),
             *_unjudged(plan, problem), *skating(plan, problem), *foot_penetration(plan, problem),

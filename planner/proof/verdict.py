@@ -66,6 +66,7 @@ class Proof(Renderable):
             A phrase each.
         not_checked: Elements of the user's file that no replay had, and goals not judged; a phrase each.
         lost_with_gains: What fails in the replay with gains of a plan that passed open loop.
+        lost_in_file: Whether that is in the user's file alone.
     """
 
     verdict: str
@@ -82,6 +83,7 @@ class Proof(Renderable):
     planned_without: tuple[str, ...] = ()
     not_checked: tuple[str, ...] = ()
     lost_with_gains: tuple[Measurement, ...] = ()
+    lost_in_file: bool = False
 
     @property
     def feasible(self) -> bool:
@@ -127,7 +129,9 @@ class Proof(Renderable):
         """The grade as the headline has it, with its number."""
         if self.lost_with_gains:
             worst = max(self.lost_with_gains, key=lambda one: one.over)
-            return f"{OPEN_LOOP_ONLY}: with its gains {worst.excess_text}"
+            counted = self.lost_in_file and worst.bound == 0.0  # its note says what was counted, in sentences
+            what = worst.note.removesuffix(".") if counted else worst.excess_text
+            return f"{OPEN_LOOP_ONLY}: {'in your file ' if self.lost_in_file else ''}with its gains {what}"
         share = (
             "" if self.monte_carlo is None else f": {100.0 * self.monte_carlo.rates['feedback'].value:.0f} % succeed"
         )

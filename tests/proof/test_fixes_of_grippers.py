@@ -50,6 +50,7 @@ def test_a_plan_whose_gains_shake_the_file_alone_passes_for_open_loop_only(tmp_p
     assert proof.your_file.passed
     assert (proof.verdict, proof.mode, proof.robustness) == ("PASS", "open-loop", "open loop only")
     assert {one.name for one in proof.lost_with_gains} >= {"replayed_angular_velocity_miss"}
+    assert "open loop only: in your file with its gains " in proof.headline
     rubs = {"drive": 'frictionloss="1" solreffriction="0.001 1"', "more": 'dt = 0.0025\nignore = ["frictionloss"]\n'}
     _, rubbing = proved(tmp_path, **rubs)
     assert rubbing.refined_open_loop.passed

@@ -9,6 +9,7 @@ from rolled_out_plans import rolled_out
 
 import planner
 from planner import FrameCost, Mechanism, Problem, RigidBodyDynamics, TrackingCost, cases
+from planner.base.measured import Measurement
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import MIN_TOLERANCES, SHARE, goals_of, unchecked_goals
 from planner.problem.objective import with_objective
@@ -54,6 +55,15 @@ def test_the_first_line_says_feasible_and_optimal():
     assert proof.headline == "PASS (open-loop); feasible, optimal"
     assert proof.to_dict()["feasible"] is True
     assert proof.to_dict()["optimal"] is True
+
+
+def test_what_gains_alone_touch_in_the_file_is_said_in_a_sentence():
+    touch = "geom 'wall' and geom 'arm' touch from t = 0.5 s, by up to 0.01 m."
+    lost = Measurement("unknown_contacts", 1.0, "", 0.0, touch), Measurement("largest_angle_error", 4.0, "rad", 2.0)
+    proof = replace(proof_of(planner.solve(pendulum())), lost_with_gains=lost, lost_in_file=True)
+    assert proof.results == f"feasible, optimal, open loop only: in your file with its gains {touch[:-1]}"
+    path = replace(proof, lost_with_gains=lost[1:])
+    assert path.results.endswith("in your file with its gains largest angle error 4 rad, 2 times its bound")
 
 
 def test_a_goal_of_a_problem_made_in_python_is_judged():
