@@ -396,5 +396,9 @@ def test_around_a_post_an_objective_starts_from_the_default_plan(tmp_path, objec
     usual, plan = planner.solve(default), planner.solve_for(file.problem, file.objective)
     assert usual.success
     assert plan.success
-    speed, most = (np.abs(one.xs[:, 3:]).max(axis=0) for one in (plan, usual))
-    assert np.all(speed < 8.0 * most)  # of energy 7.0 for the light third joint, which takes a sixth of the work
+    if objective == "effort":
+        speed, most = (np.abs(one.xs[:, 3:]).max(axis=0) for one in (plan, usual))
+        assert np.all(speed < 4.0 * most)
+    else:  # the light third joint may swing: what counts is the work, which falls to a ninth
+        usual_cost, cost = (plan.problem.cost.value(one.xs, one.us) for one in (usual, plan))
+        assert cost < 0.2 * usual_cost
