@@ -211,7 +211,9 @@ def test_models_of_others_stand_up_and_mujoco_repeats_it(name):
     problem = planner.Problem(
         dynamics, cost, start, us=np.tile(quasi_static_controls(m, start), (N, 1)), twin=planner.Twin.of(m),
         limits=planner.Limits(control="model"),
-        tolerance={"velocity": 0.3},  # its file has MuJoCo's own contact, on which it still rocks by 0.17 rad/s
+        # Its file has MuJoCo's own contact, on which it still rocks: by 0.17 rad/s with gains at every step of the
+        # simulator, by 0.33 with those of a controller, which are held for a stage.
+        tolerance={"velocity": 0.4},
     )  # fmt: skip
     plan = planner.solve(problem)
     assert plan.success
