@@ -34,7 +34,14 @@ from planner.model.mjcf.contact_shapes import shape_of
 from planner.model.mjcf.model_index import ModelIndex
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.problem import Problem
-from planner.proof.compare.coefficients import Coefficient, compared, measured_of, missing, surface_difference
+from planner.proof.compare.coefficients import (
+    Coefficient,
+    compared,
+    hopper_ground,
+    measured_of,
+    missing,
+    surface_difference,
+)
 from planner.proof.compare.contact_states import (
     AnyContact,
     ContactGeoms,
@@ -45,7 +52,6 @@ from planner.proof.compare.contact_states import (
     wrench_between,
 )
 from planner.proof.compare.differences import joint_of
-from planner.proof.compare.hopper_ground import hopper_ground
 from planner.proof.compare.rigid_parity import random_states
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.simulation import set_state
@@ -76,7 +82,7 @@ def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> t
     """
     dynamics = problem.dynamics
     if isinstance(dynamics, HopperDynamics):
-        return measured_of([compared(*row) for row in hopper_ground(dynamics, compiled, seed)], seed)
+        return measured_of(list(hopper_ground(dynamics, compiled, seed)), seed)
     machine = capabilities_of(dynamics)
     mechanism = machine.mechanism
     if mechanism is None or not (machine.contacts or machine.stops):
