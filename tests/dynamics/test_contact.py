@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from contact_machines import MACHINES, SHARP, SOFT, each_touch, law_states, moved
+from gradients import assert_step_derivatives
 from hypothesis import strategies as st
 from trees import CHAINS, actuated, driven, machines, random_state, relative_error
 
@@ -158,18 +159,7 @@ def test_jacobians_of_a_stage_with_contacts(name, integrator):
     x = random_state(m.space, rng, unnormalized=False)
     m = touching(m, x, x[m.nq : m.nq + m.nv], SOFT, rng)
     dynamics = RigidBodyDynamics(m, 1e-3, integrator)
-    xs, us, space = x[None], rng.normal(size=(1, dynamics.nu)), m.space
-    A, B = dynamics.linearize(xs, us)
-    h = 1e-7
-    for matrix, count in ((A, dynamics.ndx), (B, dynamics.nu)):
-        for j in range(count):
-            d = h * np.eye(count)[j][None]
-            if matrix is A:
-                ends = [dynamics.step(space.integrate(xs, sign * d), us) for sign in (1, -1)]
-            else:
-                ends = [dynamics.step(xs, us + sign * d) for sign in (1, -1)]
-            slope = space.difference(ends[0], ends[1])[0] / (2 * h)
-            assert np.max(np.abs(matrix[0, :, j] - slope)) < 1e-6 * max(1.0, np.max(np.abs(matrix)))
+    assert_step_derivatives(dynamics, x, rng.normal(size=dynamics.nu), h=1e-7, within=1e-6)
 
 
 def test_batches_are_their_states():

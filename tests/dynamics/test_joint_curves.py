@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driven import moved_cart
+from gradients import assert_step_derivatives
 from machines import MACHINE
 from swings import mechanism, swing
 from trees import mujoco
@@ -90,15 +91,7 @@ def test_kernels_add_the_torques_to_what_is_applied(arms):
 @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
 def test_derivatives_of_a_stage_are_those_of_differences(arms, integrator):
     dynamics = RigidBodyDynamics(arms, 0.02, integrator)
-    xs, us = states(arms)
-    A, B = dynamics.linearize(np.vstack([xs, xs[-1:]]), us)
-    h = 1e-6
-    for i in range(dynamics.nx):
-        d = h * np.eye(dynamics.nx)[i]
-        by_x = (dynamics.step(xs + d, us) - dynamics.step(xs - d, us)) / (2.0 * h)
-        np.testing.assert_allclose(A[:, :, i], by_x, atol=1e-7)
-    by_u = (dynamics.step(xs, us + h) - dynamics.step(xs, us - h)) / (2.0 * h)
-    np.testing.assert_allclose(B[:, :, 0], by_u, atol=1e-7)
+    assert_step_derivatives(dynamics, *states(arms))
 
 
 def test_derivatives_in_numpy_are_those_of_differences(arms):

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from gradients import second_order_differences
 from hypothesis import strategies as st
 from solves import hopper, linear, pendulum, rollout, swing
 from trees import CHAINS, actuated, driven, machines, relative_error
@@ -17,24 +18,6 @@ from planner.solvers import lq
 from planner.solvers.engine import CompiledEngine, NumpyEngine
 
 each_integrator = pytest.mark.parametrize("integrator", INTEGRATORS)
-STEP = 1e-5  # differences of Jacobians: h^2 and 1e-16 / h are equal here
-
-
-def differences(dynamics, xs, us, costates, step=STEP):
-    """T by central differences of A and B, z = (x, u)."""
-    N, nx = len(us), xs.shape[1]
-    nz = nx + us.shape[1]
-    T = np.empty((N, nz, nz))
-
-    def gradient(dz):
-        A, B = dynamics.linearize(xs + dz[:nx], us + dz[nx:])
-        return np.einsum("nij,ni->nj", np.concatenate([A, B], axis=2), costates[1:])
-
-    for j, dz in enumerate(step * np.eye(nz)):
-        T[:, j] = (gradient(dz) - gradient(-dz)) / (2.0 * step)
-    return T
-
-
 # ------------------------------------------------------------------------------------------------ the terms
 
 
@@ -44,7 +27,7 @@ def test_second_derivatives_of_trees_are_differences(text, seed, integrator):
     dynamics, xs, us, rng = driven(text, seed, K=5, integrator=integrator, dt=0.1)
     xs, costates = np.vstack([xs, xs[:1]]), rng.normal(size=(6, dynamics.nx))
     T = dynamics.second_order(xs, us, costates)
-    assert relative_error(T, differences(dynamics, xs, us, costates)) < 1e-7
+    assert relative_error(T, second_order_differences(dynamics, xs, us, costates)) < 1e-7
     np.testing.assert_array_equal(T, T.swapaxes(1, 2))
 
 
@@ -57,7 +40,7 @@ def test_second_derivatives_of_the_hopper_are_differences(integrator):
         rng.normal(size=(200, 1)),
         rng.normal(size=(201, 3)),
     )
-    T, theirs = dynamics.second_order(xs, us, costates), differences(dynamics, xs, us, costates, 1e-6)
+    T, theirs = dynamics.second_order(xs, us, costates), second_order_differences(dynamics, xs, us, costates, 1e-6)
     wrong = np.abs(T - theirs).max(axis=(1, 2)) > 1e-7
     assert wrong.sum() <= 2  # knots of 200 where a difference of 1e-6 may trip over a kink
     curved = np.abs(T).max(axis=(1, 2)) > 0.0
@@ -80,7 +63,7 @@ def test_second_derivatives_of_a_users_own_dynamics_are_near(integrator, exact, 
     T = dynamics.second_order(xs, us, costates)
     if integrator == "rk4":
         twin = FunctionDynamics(pendulum, 2, 1, 0.1, integrator, jacobian)
-        assert relative_error(T, differences(twin, xs, us, costates)) < tolerance
+        assert relative_error(T, second_order_differences(twin, xs, us, costates)) < tolerance
         return
     weight = {"euler": 0.1, "semi-implicit-euler": 0.1, "discrete": 1.0}[integrator] * costates[1:, 1]
     if integrator == "semi-implicit-euler":

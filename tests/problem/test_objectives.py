@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from carts import arm, cart, refuse, write
-from gradients import assert_gradients
+from gradients import assert_gradients, assert_step_derivatives
 from scipy.linalg import block_diag
 from trees import CHAINS, driven, random_state
 
@@ -77,17 +77,9 @@ def test_an_added_state_is_the_same_cost():
 
 def test_added_state_jacobians():
     dynamics, _, _, rng = driven(CHAINS["body in space"], 6, 1)
-    lifted, h = JerkDynamics(dynamics), 1e-6
-    x, us = random_state(dynamics.space, rng, unnormalized=False), rng.normal(size=(1, dynamics.nu))
-    ys = np.concatenate([x, rng.normal(size=2 * dynamics.mechanism.nv)])[None].repeat(2, axis=0)
-    A, B = lifted.linearize(ys, us)
-    space = lifted.space
-    for i, d in enumerate(h * np.eye(lifted.ndx)):
-        ends = [lifted.step(space.integrate(ys[:1], s * d), us) for s in (1.0, -1.0)]
-        np.testing.assert_allclose(space.difference(*ends)[0] / (2 * h), A[0, :, i], rtol=1e-5, atol=1e-5)
-    for i, d in enumerate(h * np.eye(lifted.nu)):
-        ends = [lifted.step(ys[:1], us + s * d) for s in (1.0, -1.0)]
-        np.testing.assert_allclose(space.difference(*ends)[0] / (2 * h), B[0, :, i], rtol=1e-5, atol=1e-5)
+    x, u = random_state(dynamics.space, rng, unnormalized=False), rng.normal(size=dynamics.nu)
+    y = np.concatenate([x, rng.normal(size=2 * dynamics.mechanism.nv)])
+    assert_step_derivatives(JerkDynamics(dynamics), y, u)
 
 
 @pytest.mark.parametrize(("name", "integrator"), [
