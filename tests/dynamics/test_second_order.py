@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from engines import assert_same_iterations, both_engines
 from gradients import second_order_differences
 from hypothesis import strategies as st
 from solves import hopper, linear, pendulum, rollout, swing
@@ -12,10 +13,7 @@ from trees import CHAINS, actuated, driven, machines, relative_error
 import planner
 from planner import FunctionDynamics, PlannerError, Problem, TrackingCost
 from planner.dynamics import INTEGRATORS, HopperDynamics, RigidBodyDynamics
-from planner.kernels.lq import line_search
-from planner.kernels.lq.workspace import ACCEPTED, INDEFINITE
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine
 
 each_integrator = pytest.mark.parametrize("integrator", INTEGRATORS)
 # ------------------------------------------------------------------------------------------------ the terms
@@ -98,28 +96,7 @@ each_task = pytest.mark.parametrize("make", tasks().values(), ids=tasks())
 @pytest.mark.parametrize("feedback", [True, False])
 def test_both_engines_do_the_same(make, feedback):
     task = make()
-    ours, twin = CompiledEngine(task, task.dynamics, task.cost), NumpyEngine(task)
-    costs = [engine.start_from_controls(task.x0, task.first_guess, True) for engine in (ours, twin)]
-    first, accepted = None, 0
-    for _ in range(4):
-        mu, fresh = 0.0, True
-        while True:
-            a = ours.iterate(feedback, line_search.ARMIJO, mu, fresh, costs[0], 0.0, -1.0)
-            b = twin.iterate(feedback, line_search.ARMIJO, mu, fresh, costs[1], 0.0, -1.0)
-            assert a.kind == b.kind
-            if a.kind != INDEFINITE:
-                break
-            mu, fresh = max(1.0, 10.0 * mu), False
-        first = first or b
-        if abs(b.slope) < 1e-9 * b.cost:  # at the minimum, where rounding decides
-            break
-        assert a.slope == pytest.approx(b.slope, rel=1e-7, abs=1e-11 * abs(first.slope))
-        assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-7, abs=1e-9 * first.gradient_norm)
-        assert relative_error(ours.gains(), twin.gains()) < 1e-7
-        assert a.step == b.step
-        assert a.cost == pytest.approx(b.cost, rel=1e-9)
-        costs, accepted = [a.cost, b.cost], accepted + (a.kind == ACCEPTED)
-    assert accepted
+    assert assert_same_iterations(both_engines(task), task, [feedback] * 4, exact=True, within=1e-7)
 
 
 @each_task

@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 from carts import refuse, write
+from engines import assert_same_iterations, both_engines
 from scipy.linalg import block_diag
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
 
@@ -14,7 +15,7 @@ from planner import FunctionDynamics, Limits, PlannerError, Problem, Status, Tra
 from planner.cases.problem_file import load
 from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine
+from planner.solvers.engine import NumpyEngine
 from planner.solvers.options import SolverOptions
 
 TOLERANCE = 1e-14  # of the cost, that the last model promises
@@ -125,24 +126,13 @@ def test_bounds_far_away_change_nothing():
 @pytest.mark.parametrize("feedback", [True, False])
 def test_compiled_and_numpy_engines_take_the_same_steps(integrator, feedback):
     problem = two_link(Limits(control=(-5.0, 4.0), velocity=3.0, final="exact"), 50, integrator=integrator)
-    engines = CompiledEngine(problem, problem.dynamics, problem.cost), NumpyEngine(problem)
-    rng, N = np.random.default_rng(1), problem.N
+    rng = np.random.default_rng(1)
     hinges = problem.trajectory_constraints.zero_penalties()  # of ranges alone
     hinges = hinges._replace(weight=rng.uniform(1.0, 100.0, hinges.weight.shape))
-    costs, us = [], rng.normal(size=(N, 2)) * 4.0
-    for engine in engines:
-        engine.set_penalties(hinges)
-        costs.append(engine.start_from_controls(problem.x0, us))
-    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
-    cost = costs[0]
-    for _ in range(4):
-        ours, theirs = (engine.iterate(feedback, 0, 1e-3, True, cost, 0.0, -1.0) for engine in engines)
-        assert ours.kind == theirs.kind
-        np.testing.assert_allclose(ours[1:], theirs[1:], rtol=1e-7)
-        cost = ours.cost
-    for a, b in zip((*engines[0].trajectory(), engines[0].gains()), (*engines[1].trajectory(), engines[1].gains()),
-                    strict=True):  # fmt: skip
-        np.testing.assert_allclose(a, b, atol=1e-8 * np.abs(b).max())
+    us = rng.normal(size=(problem.N, 2)) * 4.0
+    assert_same_iterations(
+        both_engines(problem), problem, [feedback] * 4, us=us, penalties=hinges, mus=[1e-3] * 4, within=1e-7
+    )
 
 
 def test_the_slope_is_that_of_the_clipped_rollout():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from carts import arm, cart, refuse, write
+from engines import assert_same_iterations, both_engines
 from gradients import assert_gradients, assert_step_derivatives
 from scipy.linalg import block_diag
 from trees import CHAINS, driven, random_state
@@ -13,7 +14,6 @@ import planner
 from planner import Limits, PlannerError, RigidBodyDynamics, cases
 from planner.cases.problem_file import load
 from planner.costs import EnergyCost, JerkCost, TrackingCost
-from planner.kernels.lq import line_search
 from planner.problem.costs.jerk import JerkDynamics
 from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk
 from planner.problem.objective import (
@@ -26,7 +26,6 @@ from planner.problem.problem import Problem
 from planner.problem.problem_parts import durations_or_default, weights_of
 from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 
 SCALES = [np.pi / 2.0 / 2.0**order for order in range(3)]
 """Of the arm's way to upright in 2 s: rad, rad/s, rad/s^2."""
@@ -91,19 +90,8 @@ def test_least_jerk_is_compiled_and_does_what_numpy_does(name, integrator):
     limits = Limits(control=2.0)
     given = Problem(dynamics, cost, xs[1], us[:8], limits=limits)
     problem = solver_problem(with_objective(given, {"effort": 1.0, "jerk": 1e-4}))
-    ours, twin = acquire_engine(problem), NumpyEngine(problem)
-    assert isinstance(ours, CompiledEngine)
-    first = [engine.start_from_controls(problem.x0, problem.first_guess) for engine in (ours, twin)]
-    assert first[0] == pytest.approx(first[1], rel=1e-10)
-    a, b = (
-        engine.iterate(True, line_search.ARMIJO, 0.0, True, J, 0.0, -1.0)
-        for engine, J in zip((ours, twin), first, strict=True)
-    )
-    assert (a.kind, a.step) == (b.kind, b.step)
-    assert a.cost == pytest.approx(b.cost, rel=1e-8)
-    np.testing.assert_allclose(
-        ours.gains(), twin.gains(), atol=1e-7 * np.abs(twin.gains()).max()
-    )  # sums by another order
+    ours, twin = both_engines(problem)
+    assert_same_iterations((ours, twin), problem, [True], within=1e-7)
     ends = [engine.set_trajectory(*twin.trajectory()) for engine in (ours, twin)]  # defects: none along a rollout
     np.testing.assert_allclose(*ends, atol=1e-9 * (1.0 + np.abs(twin.trajectory()[0]).max()))
 
