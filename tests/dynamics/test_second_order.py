@@ -7,7 +7,7 @@ import pytest
 from engines import assert_same_iterations, both_engines
 from gradients import second_order_differences
 from hypothesis import strategies as st
-from solves import hopper, linear, pendulum, rollout, swing
+from solves import hopper, linear, pendulum, pendulum_jacobian, rollout, swing
 from trees import CHAINS, actuated, driven, machines, relative_error
 
 import planner
@@ -49,18 +49,12 @@ def test_second_derivatives_of_the_hopper_are_differences(integrator):
 @pytest.mark.parametrize("integrator", ["euler", "semi-implicit-euler", "rk4", "discrete"])
 def test_second_derivatives_of_a_users_own_dynamics_are_near(integrator, exact, tolerance):
     """By differences: the one of the pendulum in closed form where the step is one evaluation."""
-
-    def jacobian(x, u):
-        fx, fu = np.zeros((len(x), 2, 2)), np.zeros((len(x), 2, 1))
-        fx[:, 0, 1], fx[:, 1, 0], fu[:, 1, 0] = 1.0, -9.81 * np.cos(x[:, 0]), 1.0
-        return fx, fu
-
     rng = np.random.default_rng(1)
     xs, us, costates = rng.normal(size=(5, 2)), rng.normal(size=(4, 1)), rng.normal(size=(5, 2))
-    dynamics = FunctionDynamics(pendulum, 2, 1, 0.1, integrator, jacobian if exact else None)
+    dynamics = FunctionDynamics(pendulum, 2, 1, 0.1, integrator, pendulum_jacobian if exact else None)
     T = dynamics.second_order(xs, us, costates)
     if integrator == "rk4":
-        twin = FunctionDynamics(pendulum, 2, 1, 0.1, integrator, jacobian)
+        twin = FunctionDynamics(pendulum, 2, 1, 0.1, integrator, pendulum_jacobian)
         assert relative_error(T, second_order_differences(twin, xs, us, costates)) < tolerance
         return
     weight = {"euler": 0.1, "semi-implicit-euler": 0.1, "discrete": 1.0}[integrator] * costates[1:, 1]
