@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
-from trees import CHAINS, Body, mujoco, tree_xml
+from gradients import step_derivatives
+from trees import CHAINS, Body, mujoco, relative_error, tree_xml
 
+from planner.dynamics import RigidBodyDynamics, product_of_exponentials
+from planner.dynamics.contacts import generalized_forces
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 
@@ -145,3 +148,23 @@ def moved(m, q, direction):
     """q moved along the group by direction (nv,)."""
     x = np.concatenate([q, np.zeros(m.nv + m.na)])
     return m.space.integrate(x[None], np.concatenate([direction, np.zeros(m.nv + m.na)])[None])[0, : m.nq]
+
+
+def assert_contacts_act(bare, m, x, us):
+    """Accelerations of `bare` dynamics with the contacts of m beside NumPy's, and A of an Euler step of theirs.
+
+    A is held to central differences at h and h / 2, which tell their own error: it is large where a contact grazes.
+    """
+    q, qd, rates = x[: m.nq], x[m.nq : m.nq + m.nv], slice(m.nv, 2 * m.nv)
+    dynamics, free = RigidBodyDynamics(m, 1.0, "euler", bare.prescribed), np.ones(m.nv, dtype=bool)
+    for name in bare.prescribed:
+        free[m.joint(name)] = False
+    # M_ff dqdd_f = tau_f: what the contacts' forces add to the accelerations
+    M, tau, more = product_of_exponentials.mass_matrix(m, q), generalized_forces(m, q, qd), np.zeros(m.nv)
+    more[free] = np.linalg.solve(M[np.ix_(free, free)], tau[free])
+    acceleration, without = (one.rates(x[None], us)[0, rates] for one in (dynamics, bare))
+    assert relative_error(acceleration, without + more) < 1e-9
+    A = dynamics.linearize(x[None], us)[0][0, rates]
+    far, near = (step_derivatives(dynamics, x[None], us, h)[0][0, rates] for h in (1e-7, 5e-8))
+    assert np.all(np.abs(A - near) < 1e-6 * max(1.0, np.abs(A).max()) + 2.0 * np.abs(near - far))
+    assert np.median(np.abs(near - far)) < 1e-6 * max(1.0, np.abs(A).max())  # the differences say something

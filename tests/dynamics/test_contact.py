@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from contact_machines import MACHINES, SHARP, SOFT, each_touch, law_states, moved
+from contact_machines import MACHINES, SHARP, SOFT, assert_contacts_act, each_touch, law_states
 from gradients import assert_step_derivatives
 from hypothesis import strategies as st
-from trees import CHAINS, actuated, driven, machines, random_state, relative_error
+from trees import CHAINS, actuated, driven, machines, random_state
 
 from planner import dynamics as rigid_body
 from planner.base.errors import PlannerError
@@ -16,7 +16,7 @@ from planner.dynamics import RigidBodyDynamics, product_of_exponentials
 from planner.dynamics.contacts import contact_force, contact_forces, generalized_forces
 from planner.model.contact.laws import Contact, ContactLaw, Law, Plane, Stop
 from planner.model.mechanism import SCREW, Frame, Mechanism
-from tests.contact_derivatives import generalized_force_derivatives
+from planner.proof.engines.motion import normalized
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -97,58 +97,13 @@ def touching(m, x, qd, touch, rng, count=5):
     return dataclasses.replace(m, contacts=tuple(contacts), stops=tuple(stops))
 
 
-@machines(8, max_dofs=12, max_bodies=5, sharp=st.booleans())
-def test_derivatives_of_the_generalized_forces(text, seed, sharp):
-    rng = np.random.default_rng(seed)
-    m = Mechanism.from_mjcf(text)
-    x = random_state(m.space, rng, unnormalized=False)
-    q, qd = x[: m.nq], x[m.nq : m.nq + m.nv]
-    m = touching(m, x, qd, SHARP if sharp else SOFT, rng)
-    by_q, by_qd = generalized_force_derivatives(m, q, qd)
-    h = 1e-7
-    for i in range(m.nv):
-        d = h * np.eye(m.nv)[i]
-        slope = (generalized_forces(m, moved(m, q, d), qd) - generalized_forces(m, moved(m, q, -d), qd)) / (2 * h)
-        assert np.max(np.abs(by_q[:, i] - slope)) < 1e-4 * max(1.0, np.max(np.abs(by_q)))
-        slope = (generalized_forces(m, q, qd + d) - generalized_forces(m, q, qd - d)) / (2 * h)
-        assert np.max(np.abs(by_qd[:, i] - slope)) < 1e-5 * max(1.0, np.max(np.abs(by_qd)))
-
-
 @machines(12, max_dofs=15, max_bodies=6, sharp=st.booleans())
 def test_kernels_are_their_twin(text, seed, sharp):
-    """Accelerations, and A and B of an Euler step, with prescribed joints among them."""
-    dynamics, xs, us, rng = driven(text, seed, K=1, integrator="euler", dt=1.0)
-    m, prescribed, x = dynamics.mechanism, dynamics.prescribed, xs[0].copy()
-    for address, _ in m.quaternions:
-        x[address : address + 4] /= np.linalg.norm(x[address : address + 4])
-    q, qd = x[: m.nq], x[m.nq : m.nq + m.nv]
-    bare = dynamics
-    m = touching(m, x, qd, SHARP if sharp else SOFT, rng)
-    dynamics = RigidBodyDynamics(m, 1.0, "euler", prescribed)
-    mask = np.zeros(m.nv, dtype=bool)
-    for name in prescribed:
-        mask[m.joint(name)] = True
-    free = ~mask
-    # M_ff dqdd_f = tau_f: what the twin's force adds to the accelerations
-    M, tau = product_of_exponentials.mass_matrix(m, q), generalized_forces(m, q, qd)
-    more = np.zeros(m.nv)
-    more[free] = np.linalg.solve(M[np.ix_(free, free)], tau[free])
-    rates, without = dynamics.rates(x[None], us)[0], bare.rates(x[None], us)[0]
-    acceleration = rates[m.nv : 2 * m.nv]
-    assert relative_error(acceleration, without[m.nv : 2 * m.nv] + more) < 1e-9
-    # and to A: the derivatives of inverse dynamics at the accelerations that contact causes
-    Dq, Dv, _ = rigid_body.rnea_derivatives(m, q, qd, acceleration)
-    by_q, by_qd = generalized_force_derivatives(m, q, qd)
-    a = m.actuators
-    moment = np.where(mask, 0.0, a.moment)
-    servo_q, servo_v = (moment.T @ (a.bias[:, [k]] * a.moment) for k in (1, 2))
-    servo_q[:, m.kind != SCREW] = 0.0
-    expected = np.zeros((m.nv, 2 * m.nv))
-    total = np.hstack([by_q + servo_q - Dq, by_qd + servo_v - Dv])
-    expected[free] = np.linalg.solve(M[np.ix_(free, free)], total[free])
-    A, _ = dynamics.linearize(x[None], us)
-    ours = A[0, m.nv : 2 * m.nv, : 2 * m.nv] - np.eye(2 * m.nv)[m.nv :]
-    assert relative_error(ours, expected) < 1e-8
+    """Accelerations, and A of an Euler step, with prescribed joints among them."""
+    bare, xs, us, rng = driven(text, seed, K=1, integrator="euler", dt=1.0)
+    x = normalized(bare.mechanism, xs[0])
+    m = touching(bare.mechanism, x, None, SHARP if sharp else SOFT, rng)
+    assert_contacts_act(bare, m, x, us)
 
 
 @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
