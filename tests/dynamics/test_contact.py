@@ -25,23 +25,9 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 @each_touch
-def test_derivatives_of_the_law(touch):
-    e, v = law_states(touch, np.random.default_rng(0))
-    f, by_e, by_v = contact_force(touch, UP, e, v)
-    h = 1e-8
-    slope = (contact_force(touch, UP, e + h, v)[0] - contact_force(touch, UP, e - h, v)[0]) / (2 * h)
-    assert np.max(np.abs(by_e - slope)) < 1e-6 * touch.stiffness
-    for axis in range(3):
-        d = h * np.eye(3)[axis]
-        slope = (contact_force(touch, UP, e, v + d)[0] - contact_force(touch, UP, e, v - d)[0]) / (2 * h)
-        assert np.max(np.abs(by_v[:, :, axis] - slope)) < 1e-5 * touch.slip_damping
-    assert np.max(np.abs(f)) > 100.0  # and something was tested
-
-
-@each_touch
 def test_nothing_pulls_and_friction_stays_in_its_cone(touch):
     e, v = law_states(touch, np.random.default_rng(1))
-    f = contact_force(touch, UP, e, v)[0]
+    f = contact_force(touch, UP, e, v)
     assert np.all(f[:, 2] >= 0.0)
     assert np.all(np.linalg.norm(f[:, :2], axis=1) <= touch.friction * f[:, 2] * (1.0 + 1e-12))
     assert np.all(f[e <= 0.0] == 0.0)
@@ -52,18 +38,17 @@ def test_nothing_pulls_and_friction_stays_in_its_cone(touch):
 
 def test_the_smooth_law_and_its_slope_are_continuous():
     """Over every end of a ramp: the jump over an interval falls with its length."""
-    v = np.array([[0.05, -0.02, 0.01]])
+    v, h = np.array([[0.05, -0.02, 0.01]]), 1e-7
     for end in (0.0, SOFT.ramp):
-        e = np.array([end])
-        for part in range(3):
-            low, high = (np.asarray(contact_force(SOFT, UP, e + d, v)[part]) for d in (-1e-9, 1e-9))
-            assert np.max(np.abs(high - low)) < 1e-4 * max(1.0, SOFT.stiffness if part else 1.0)
+        far, low, at, high, beyond = (contact_force(SOFT, UP, np.array([end + k * h]), v) for k in (-2, -1, 0, 1, 2))
+        assert np.max(np.abs(high - low)) < 3.0 * h * SOFT.stiffness
+        assert np.max(np.abs((beyond - at) - (at - far))) < 1e-3 * 2.0 * h * SOFT.stiffness
 
 
 def test_deep_inside_the_force_is_that_of_a_spring_on_the_real_surface():
     """The lift makes up for both ramps: K (e - a/2) - f/2 at e = depth + lift is K depth."""
     depth = np.array([0.02, 0.03])
-    f = contact_force(SOFT, UP, depth + SOFT.surface_offset, np.zeros((2, 3)))[0]
+    f = contact_force(SOFT, UP, depth + SOFT.surface_offset, np.zeros((2, 3)))
     np.testing.assert_allclose(f[:, 2], SOFT.stiffness * depth, rtol=1e-12)
     assert Law(1e3, ramp=2e-3).force_ramp == pytest.approx(0.2 * 1e3 * 2e-3)
 

@@ -321,7 +321,7 @@ class _Bench:
             qacc = np.zeros(m.nv)
             qacc[stop.dof] = stop.side * speeding
             e, opening = stop_state(m, stop, x[None, : m.nq], x[None, m.velocities])
-            ours = unilateral_force(law, e, opening - law.lead * speeding)[0]
+            ours = unilateral_force(law, e, opening - law.lead * speeding)
             return ours[0], self._limit(x, stop, qacc)
 
         held, deeper = both(depth, 0.0), both(2.0 * depth, 0.0)
@@ -349,7 +349,7 @@ def _planned(place: Any, v: np.ndarray, qd: np.ndarray) -> np.ndarray:
     """The plan's force and torque (6,) at a contact velocity (3,) and joint velocities (nv,)."""
     law = place.contact.law
     if law.condim <= 3:
-        return np.append(contact_force(law, place.n, place.e, v[None])[0][0], np.zeros(3))
+        return np.append(contact_force(law, place.n, place.e, v[None])[0], np.zeros(3))
     return contact_wrench(law, place.n, place.e, v[None], (place.turning[0] @ qd)[None])[0][0]
 
 
