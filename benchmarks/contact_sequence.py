@@ -58,15 +58,18 @@ def main() -> int:
     from planner.problem.touch_downs import standing
 
     task = load_problem(TASK)
-    plan, dynamics, tracking = solve(task), task.dynamics, tracking_of(task.cost)
+    dynamics: Any = task.dynamics
+    tracking = tracking_of(task.cost)
     assert tracking is not None  # a task has weights on its states
     mechanism = dynamics.mechanism
     assert task.recipe is not None  # it is read from a file
-    plans = plan, solve(task.recipe.rebuilt(substeps=1))
-    for one in plans:
-        print(f"{one.problem.dynamics}: {one.total_iterations} iterations, cost {one.cost:.4g}, {one.status.name}: "
+    problems = task, task.recipe.rebuilt(substeps=1)
+    plans = [solve(one) for one in problems]
+    plan, ours = plans[0], []
+    for problem, one in zip(problems, plans, strict=True):
+        print(f"{problem.dynamics}: {one.total_iterations} iterations, cost {one.cost:.4g}, {one.status.name}: "
               f"{prove(one, rollouts=0).headline}")  # fmt: skip
-    ours = [iteration(Problem(one.problem.dynamics, tracking, task.x0, us=one.us), one) for one in plans]
+        ours.append(iteration(Problem(problem.dynamics, tracking, task.x0, us=one.us), one))
     if given.crocoddyl is None:
         times = ", ".join(f"{1e3 * min(once() for _ in range(REPEATS)):.3g} ms" for once in ours)
         print(f"{times}; Crocoddyl left out: --crocoddyl PYTHON with {PINS}")

@@ -13,8 +13,8 @@ from machines import FRICTION_ARM
 from trees import CHAINS, actuated, damped, driven, machines, random_state
 
 from planner import Mechanism, Problem, RigidBodyDynamics
-from planner.costs import FrameCost, TrackingCost
 from planner.base.errors import PlannerError
+from planner.costs import FrameCost, TrackingCost
 from planner.dynamics.protocol import rollout_states
 from planner.dynamics.step_stability import FastestMode, leaps_of
 from planner.model.contact.laws import Contact, ContactLaw, Plane
