@@ -1,5 +1,7 @@
 """The first guess of a jump: crouch, push, parabola and landing, where a goal is in the air."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ import planner
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import center_of_mass
+from planner.dynamics.protocol import rollout_states
 from planner.problem.tasks.flight import phases_of_jumps
 from planner.problem.tasks.gait import gait_of
 from planner.problem.tasks.jump import flights_of, height_above_legs, jumping
@@ -27,6 +30,9 @@ START = 'model = "leg.xml"\nstart = { hip = 0.6, knee = -1.2 }\nduration = 1.2\n
 GOAL = "[[goal]]\njoints = { hip = 0.6, knee = -1.2 }\n"
 THROUGH = '[[goal]]\nframe = "trunk"\nposition = [0, 0, 0.7]\ntime = 0.6\nthrough = true\n'
 REACH = 0.53  # m, of the straight leg with its foot's radius
+
+
+QUADRUPED = Path(__file__).parents[2] / "mjcf/quadruped/scene.xml"
 
 
 def problem_of(tmp_path, text):
@@ -110,6 +116,38 @@ def test_a_leg_of_two_hinges_jumps(jump):
     assert z[60] == pytest.approx(0.7, abs=5e-3)
     depths = contact_forces(jump.dynamics.mechanism, plan.xs[:, :3], plan.xs[:, 3:]).depths.max(axis=1)
     assert np.count_nonzero(depths < 0.0) * jump.dynamics.dt > 0.2  # s, in the air
+
+
+@pytest.fixture(scope="module")
+def quadruped(tmp_path_factory):
+    path = tmp_path_factory.mktemp("quadruped") / "p.toml"
+    text = f'model = "{QUADRUPED}"\nstart = "stand"\nduration = 1.2\n'
+    text += '[[goal]]\nframe = "trunk"\nposition = [0, 0, 0.45]\ntime = 0.6\nthrough = true\n'
+    path.write_text(text + '[[goal]]\njoints = "stand"\n')
+    return load(path).problem
+
+
+def test_a_quadruped_jumps_from_its_guess(quadruped):
+    """Shooting that ends with the first rollout that closes the defects leaves it where it stands, at 0.32 m."""
+    xs = rollout_states(quadruped.dynamics, quadruped.x0, quadruped.us)
+    assert xs[60, 2] == pytest.approx(0.45, abs=0.02)
+    assert xs[-1, 2] == pytest.approx(xs[0, 2], abs=0.05)  # it lands
+    depths = contact_forces(quadruped.dynamics.mechanism, xs[:, :19], xs[:, 19:]).depths.max(axis=1)
+    assert np.count_nonzero(depths < 0.0) * quadruped.dynamics.dt > 0.15  # s, in the air
+    plan = planner.solve(quadruped)
+    assert plan.converged
+    assert plan.total_iterations < 120  # 65 of them; 163 in four solves with softer ground
+
+
+def test_the_poses_of_a_jump_are_sought_once(tmp_path):
+    from planner.cases.problem_file import tasks
+
+    calls = []
+    with pytest.MonkeyPatch.context() as patch:
+        original = tasks.poses_of
+        patch.setattr(tasks, "poses_of", lambda *args, **named: calls.append(1) or original(*args, **named))
+        assert problem_of(tmp_path, THROUGH + GOAL).us is not None
+    assert len(calls) == 1
 
 
 def test_who_says_how_to_begin_gets_it(tmp_path):
