@@ -34,7 +34,7 @@ from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.reaching_cost import along_gait
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
-from planner.problem.tasks.flight import check_flight, phases_of_jumps
+from planner.problem.tasks.flight import BENT, check_flight, phases_of_jumps
 from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, with_points
 from planner.problem.tasks.pose_constraints import PoseConstraints
@@ -64,7 +64,6 @@ class ResolvedTask(NamedTuple):
     waypoints: tuple[int, ...] = ()  # goals whose share of the duration was chosen
     gait: str = ""  # Sentence about the gait that the rows are; "" for none
     stands: bool = False  # Whether positions refer to the rows all the time: a machine on feet that stay, or a gait
-    jumps: Sequence[dict[str, Any]] = ()  # Tables of phases with which its goals in the air are reached
 
 
 def is_task(table: dict[str, Any], mechanism: Mechanism) -> bool:
@@ -162,8 +161,7 @@ def resolve_task(
     stands = steps is not None or _stands_all_along(table, task, poses)
     rows = _rested(poses, task, x0) if stands else reference_states(task, poses, x0)
     if steps is None:
-        jumps = phases_of_jumps(task, poses, dynamics, ranges) if stored is None else ()
-        return ResolvedTask(task, poses, rows, apart, waypoints, stands=stands, jumps=jumps)
+        return ResolvedTask(task, poses, rows, apart, waypoints, stands=stands)
     rows, said = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges, _is_direct(task))
     return ResolvedTask(task, poses, rows, apart, waypoints, said, stands)
 
@@ -277,15 +275,24 @@ def with_jumps(
 
     Where a machine stands hardly a gradient leads off the ground. This motion is in the air.
     """
-    if not way.jumps or table["guess"] != "auto":
+    if way.gait or table["guess"] != "auto":
         return None
     dynamics, task = problem.dynamics, way.task
     assert isinstance(dynamics, RigidBodyDynamics)  # of a file's problem
-    rows, ranges = _rested(way.poses, task, problem.x0), (limits or Limits(position="off")).position_ranges(dynamics)
-    try:
-        rows, said = gait_of(list(way.jumps)).motion(task.mechanism, rows, dynamics.dt, ranges, _is_direct(task))
-    except PlannerError:  # its legs do not reach
+    ranges, moves = (limits or Limits(position="off")).position_ranges(dynamics), None
+    for bent in BENT:
+        phases = phases_of_jumps(task, way.poses, dynamics, ranges, bent)
+        if not phases:
+            return None
+        rested = _rested(way.poses, task, problem.x0)
+        try:
+            moves = gait_of(phases).motion(task.mechanism, rested, dynamics.dt, ranges, _is_direct(task))
+            break
+        except PlannerError:  # its legs do not reach: they have to be more bent
+            continue
+    if moves is None:
         return None
+    rows, said = moves
     flying = way._replace(rows=rows, gait=said, stands=True)
     weights = weights_of(table, dynamics, problem.x0, flying, limits).weights | table["weights"]
     return replace(problem, cost=cost_of(flying, dynamics, weights)[0]), rows
