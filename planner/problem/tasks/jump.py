@@ -111,9 +111,9 @@ def _at_speed(mechanism: Mechanism, q: np.ndarray, flight: tuple[int, int], push
     share = np.append(share, np.full(len(q) - len(share), whole)) / whole
     at = np.interp(share * path[-1], path, np.arange(len(q)))
     k = np.minimum(at.astype(int), len(q) - 2)
-    beyond = np.zeros((len(q), space.ndx))
-    beyond[:, : mechanism.nv] = (at - k)[:, None] * steps[k]
-    return space.integrate(x[k], beyond)[:, : mechanism.nq]
+    displacement = np.zeros((len(q), space.ndx))
+    displacement[:, : mechanism.nv] = (at - k)[:, None] * steps[k]
+    return space.integrate(x[k], displacement)[:, : mechanism.nq]
 
 
 def _heights(
