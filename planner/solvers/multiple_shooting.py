@@ -7,9 +7,16 @@ iteration solves the LQ problem with these defects (kernels.lq.defects). One of 
     merit = J(xs, us) + nu' sum |g(n)|,    nu above the multipliers of the defects:
 
 a rollout with the sweep's gains, which closes all defects at once and ends this phase, if its cost is sufficiently
-below the merit and below that of a rollout of the first controls; else a step length alpha along the direction of
-states and controls, which leaves defects (1 - alpha) g to first order. Short steps increase state regularization (see
+below
+
+    J(xs, us) + closing_share nu' sum |g(n)|,    the merit with a share of 1,
+
+and below that of a rollout of the first controls; else a step length alpha along the direction of states and controls,
+which leaves defects (1 - alpha) g to first order. Short steps increase state regularization (see
 solvers.step_control), up to a limit. Hessians are Gauss-Newton's.
+
+Early rollouts may be far below the merit and nowhere near the states: a machine that is to jump falls. So along a
+motion the share is small; where no step lowers the merit, and in the last iteration, it is 1.
 """
 
 from __future__ import annotations
@@ -34,7 +41,8 @@ from planner.solvers.engine import DefectStep, Engine, acquire_engine, release_e
 from planner.solvers.options import DEFAULT, SolverOptions
 from planner.solvers.step_control import Regularization
 
-ALONG = SolverOptions(max_defect_regularization=1e4)  # along a gait defects fall further where steps are short
+# Along a motion defects fall further where steps are short, and the rollout that closes them is to be near it.
+ALONG = SolverOptions(max_defect_regularization=1e4, closing_share=0.1)
 GROWTH_MARGIN = 1.1  # nu below this multiple of the largest multiplier is reset
 
 Value = Callable[[np.ndarray, np.ndarray], float]  # of states (N+1, nx) and controls (N, nu)
@@ -152,12 +160,14 @@ def _defect_iterations(
         nu = np.where(outdated, options.merit_factor * largest, nu)
         merit = cost + float(nu @ np.abs(defects).sum(axis=0))
         slope = direction.slope - (merit - cost)
-        cost_limit = min(merit, limits[1]) if math.isfinite(limits[1]) else merit
-        step, after = engine.rollout_closing_defects(cost_limit, slope)
-        closed = step > 0.0
-        if not closed:
+        most = cost + options.closing_share * (merit - cost)
+        step, after = engine.rollout_closing_defects(min(most, limits[1]), slope)
+        if not (closed := step > 0.0):
             trial = _step(problem, value, xs, us, direction, nu, merit, slope, defects, options.max_defect_halvings)
-            step, xs, us, defects, after = trial
+            if trial[0] == 0.0 or len(history) + 1 == limits[0]:
+                step, after = engine.rollout_closing_defects(min(merit, limits[1]), slope)
+            if not (closed := step > 0.0):
+                step, xs, us, defects, after = trial
         actual = merit - after if closed else cost - after
         line = Iteration(len(history), cost, direction.gradient_norm, step, -slope, actual, regularization.weight)
         history.append(line)

@@ -95,6 +95,8 @@ class SolverOptions:
             first controls or a share of them.
         merit_factor: Weight of the defects in the merit function over their largest multiplier (N&W 18.3).
         max_merit_ratio: The weight is reset if it exceeds this multiple of the largest multiplier.
+        closing_share: A rollout that closes the defects ends multiple shooting if it costs less than the states do with
+            this share of what their defects weigh.
         max_defect_halvings: Step halvings in multiple shooting before state regularization grows.
         max_defect_regularization: Largest weight on changes of the states, in multiple shooting, relative to the
             cost's own: a larger one prevents defects from closing.
@@ -151,6 +153,7 @@ class SolverOptions:
     max_defect_iterations: int = 60
     merit_factor: float = 2.0
     max_merit_ratio: float = 8.0
+    closing_share: float = 1.0
     max_defect_halvings: int = 12
     max_defect_regularization: float = 0.01
     control_share: float = 0.25

@@ -1,5 +1,7 @@
 """The first guess of a jump: crouch, push, parabola and landing, where a goal is in the air."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ import planner
 from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import center_of_mass
+from planner.dynamics.protocol import rollout_states
 from planner.problem.tasks.flight import phases_of_jumps
 from planner.problem.tasks.gait import gait_of
 from planner.problem.tasks.jump import flights_of, height_above_legs, jumping
@@ -27,6 +30,9 @@ START = 'model = "leg.xml"\nstart = { hip = 0.6, knee = -1.2 }\nduration = 1.2\n
 GOAL = "[[goal]]\njoints = { hip = 0.6, knee = -1.2 }\n"
 THROUGH = '[[goal]]\nframe = "trunk"\nposition = [0, 0, 0.7]\ntime = 0.6\nthrough = true\n'
 REACH = 0.53  # m, of the straight leg with its foot's radius
+
+
+QUADRUPED = Path(__file__).parents[2] / "mjcf/quadruped/scene.xml"
 
 
 def problem_of(tmp_path, text):
@@ -81,6 +87,22 @@ def test_a_jump_falls_freely_between_a_push_and_a_landing(jump):
     assert jumping(m, q, feet, places, [(10, 110)], m.joint_range, dt) is None
 
 
+def test_a_jump_that_is_higher_than_its_legs_are_long_crouches_as_far_as_they_bend(jump):
+    m, dt, N = jump.dynamics.mechanism, 0.01, 180
+    feet, flight = standing_feet(m, jump.x0[:3]), (40, 140)
+    q = np.tile(jump.x0[:3], (N + 1, 1))
+    # 1 s: 9.81 / 8 = 1.23 m, two thirds of which are more than the leg's 0.53 m; it takes off 5 cm above the crouch.
+    q[:, 0] += (9.81 / 8 + 0.05) * np.sin(np.pi * np.linspace(0.0, 1.0, N + 1)) ** 2
+    places = np.tile(points_of_feet(m, q[:1], feet)[0], (N + 1, 1, 1))
+    found = jumping(m, q, feet, places, [flight], m.joint_range, dt)
+    assert found is not None
+    z = center_of_mass(m, found)[:, 2]
+    np.testing.assert_allclose(np.diff(z, 2)[41:138] / dt**2, -9.81, rtol=1e-6)
+    on_ground = [*range(41), *range(140, N + 1)]
+    away = points_of_feet(m, found[on_ground], feet)[0] - places[on_ground]
+    assert np.linalg.norm(away, axis=2).max() < 6e-3
+
+
 def test_phases_are_those_of_a_parabola_to_the_goal(tmp_path, jump):
     seen = []
 
@@ -110,6 +132,53 @@ def test_a_leg_of_two_hinges_jumps(jump):
     assert z[60] == pytest.approx(0.7, abs=5e-3)
     depths = contact_forces(jump.dynamics.mechanism, plan.xs[:, :3], plan.xs[:, 3:]).depths.max(axis=1)
     assert np.count_nonzero(depths < 0.0) * jump.dynamics.dt > 0.2  # s, in the air
+
+
+@pytest.fixture(scope="module")
+def quadruped(tmp_path_factory):
+    path = tmp_path_factory.mktemp("quadruped") / "p.toml"
+    text = f'model = "{QUADRUPED}"\nstart = "stand"\nduration = 1.2\n'
+    text += '[[goal]]\nframe = "trunk"\nposition = [0, 0, 0.45]\ntime = 0.6\nthrough = true\n'
+    path.write_text(text + '[[goal]]\njoints = "stand"\n')
+    return load(path).problem
+
+
+def test_a_quadruped_jumps_from_its_guess(quadruped):
+    """Shooting that ends with the first rollout that closes the defects leaves it where it stands, at 0.32 m."""
+    xs = rollout_states(quadruped.dynamics, quadruped.x0, quadruped.us)
+    assert xs[60, 2] == pytest.approx(0.45, abs=0.02)
+    assert xs[-1, 2] == pytest.approx(xs[0, 2], abs=0.05)  # it lands
+    depths = contact_forces(quadruped.dynamics.mechanism, xs[:, :19], xs[:, 19:]).depths.max(axis=1)
+    assert np.count_nonzero(depths < 0.0) * quadruped.dynamics.dt > 0.15  # s, in the air
+    plan = planner.solve(quadruped)
+    assert plan.converged
+    assert plan.total_iterations < 120  # 47 of them; 163 in four solves with softer ground
+
+
+def test_a_leap_goes_most_of_its_way_in_the_air(tmp_path):
+    """Legs that stand until the trunk is nearly above its apex do not reach: it is to fly from where they do."""
+    text = f'model = "{QUADRUPED}"\nstart = "stand"\nduration = 1.2\n'
+    text += '[[goal]]\nframe = "trunk"\nposition = [0.15, 0, 0.45]\ntime = 0.6\nthrough = true\n'
+    (tmp_path / "p.toml").write_text(text + '[[goal]]\nframe = "trunk"\nposition = [0.3, 0, 0.32]\n')
+    problem = load(tmp_path / "p.toml").problem
+    assert problem.us is not None
+    xs = rollout_states(problem.dynamics, problem.x0, problem.us)
+    depths = contact_forces(problem.dynamics.mechanism, xs[:, :19], xs[:, 19:]).depths.max(axis=1)
+    air = np.flatnonzero(depths < 0.0)
+    assert xs[60, :3] == pytest.approx([0.15, 0.0, 0.45], abs=0.04)
+    assert xs[air[-1], 0] - xs[air[0], 0] > 0.12  # m, of 0.3; two thirds of the reference
+    assert planner.solve(problem).converged
+
+
+def test_the_poses_of_a_jump_are_sought_once(tmp_path):
+    from planner.cases.problem_file import tasks
+
+    calls = []
+    with pytest.MonkeyPatch.context() as patch:
+        original = tasks.poses_of
+        patch.setattr(tasks, "poses_of", lambda *args, **named: calls.append(1) or original(*args, **named))
+        assert problem_of(tmp_path, THROUGH + GOAL).us is not None
+    assert len(calls) == 1
 
 
 def test_who_says_how_to_begin_gets_it(tmp_path):

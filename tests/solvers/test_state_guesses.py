@@ -214,6 +214,20 @@ def test_steps_across_gaps_lower_the_merit_and_close():
     assert cost == pytest.approx(problem.cost.value(*engine.trajectory()), rel=1e-12)
 
 
+def test_a_smaller_closing_share_ends_nearer_to_the_states():
+    """A rollout that costs hardly more than the states with their defects comes later, and costs less."""
+    problem, found = planner.cases.build("two-link", horizon=60), {}
+    engine, us = NumpyEngine(numpy_twin(problem)), np.zeros_like(problem.first_guess)
+    xs = interpolated_states(problem.dynamics.space, problem.x0, problem.cost.x_ref[-1], problem.duration, problem.N)
+    for share in (1.0, 0.01):
+        options = planner.SolverOptions(closing_share=share)
+        cost, lines, _ = close_defects(problem, engine, False, xs, us, 100, None, options=options)
+        assert np.abs(engine.set_trajectory(*engine.trajectory())).max() == 0.0
+        found[share] = cost, len(lines)
+    assert found[0.01][0] < found[1.0][0]
+    assert found[0.01][1] > found[1.0][1]
+
+
 def test_poor_states_are_refused():
     problem = planner.cases.build("two-link", horizon=20)
     with pytest.raises(PlannerError, match=r"states is 'arc', expected one of: line\."):

@@ -88,11 +88,11 @@ from planner.cases.problem_file.tasks import (
     cost_of,
     guess_of,
     is_task,
-    jumping_guess,
     path_lengths,
     resolve_task,
     steps_of,
     with_files,
+    with_jumps,
     with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
@@ -263,7 +263,7 @@ def _built(
     table: dict[str, Any], mechanism: Mechanism, where: str, constraints: tuple[Constraint, ...],
     found: Mapping[str, np.ndarray] | None,
 ) -> Problem:  # fmt: skip
-    told, rebuilt, given = "", RESOLVED in table, table
+    told, rebuilt = "", RESOLVED in table
     if table.get("prescribed"):
         mechanism = mechanism.without_lead_stops()
     if "start" not in table and (own := start_of_model(mechanism)) is not None:
@@ -380,7 +380,7 @@ def _built(
         periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic.image, cycle),
         actual_reduction_tolerance=_gain(mechanism, cycle),
     )  # fmt: skip
-    jump = jumping_guess(way, build, given) if way is not None and us is None else None
+    jump = with_jumps(way, problem, table, limits) if way is not None and us is None else None
     problem = replace(problem, us=first_guess(problem, table["guess"], goal, along, jump) if us is None else us)
     if way is not None and wanted is not None:
         check_task_departure(x0, wanted, way.task)

@@ -48,9 +48,11 @@ class ReferenceTrajectory(NamedTuple):
 
 def first_guess(
     problem: Problem, kind: str, goal: np.ndarray, way: ReferenceTrajectory | None = None,
-    jump: np.ndarray | None = None,
+    jump: tuple[Problem, np.ndarray] | None = None,
 ) -> np.ndarray | None:  # fmt: skip
-    """Controls (N, nu) of a kind that lead towards a goal (nx,), or along a way, or those of a jump; None for zero.
+    """Controls (N, nu) of a kind that lead towards a goal (nx,), or along a way or a jump; None for zero.
+
+    A jump is the problem of following one, and its states (N+1, nx).
 
     Raises:
         PlannerError: There is no line, or the tracked rollout diverges.
@@ -87,7 +89,7 @@ def first_guess(
     hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None
     if kind == "auto" and jump is not None:
-        found = jump
+        found = controls_along(*jump, _servos_along(jump[0]), SHOTS)
     elif kind == "auto" and way is not None and way.walks:
         found = controls_along(problem, way.states, _servos_along(problem), SHOTS)
     elif kind != "hold":

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,7 +34,7 @@ from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.reaching_cost import along_gait
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
-from planner.problem.tasks.flight import check_flight, phases_of_jumps
+from planner.problem.tasks.flight import BENT, check_flight, phases_of_jumps
 from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, with_points
 from planner.problem.tasks.pose_constraints import PoseConstraints
@@ -63,7 +64,6 @@ class ResolvedTask(NamedTuple):
     waypoints: tuple[int, ...] = ()  # goals whose share of the duration was chosen
     gait: str = ""  # Sentence about the gait that the rows are; "" for none
     stands: bool = False  # Whether positions refer to the rows all the time: a machine on feet that stay, or a gait
-    jumps: Sequence[dict[str, Any]] = ()  # Tables of phases with which its goals in the air are reached
 
 
 def is_task(table: dict[str, Any], mechanism: Mechanism) -> bool:
@@ -159,12 +159,16 @@ def resolve_task(
     if RESOLVED not in table:
         check_flight(task, poses, dynamics, ranges)
     stands = steps is not None or _stands_all_along(table, task, poses)
-    rows = reference_states(task, resting(poses, 1.0 - MOVING_SHARE) if stands else poses, x0)
+    rows = _rested(poses, task, x0) if stands else reference_states(task, poses, x0)
     if steps is None:
-        jumps = phases_of_jumps(task, poses, dynamics, ranges) if stored is None else ()
-        return ResolvedTask(task, poses, rows, apart, waypoints, stands=stands, jumps=jumps)
+        return ResolvedTask(task, poses, rows, apart, waypoints, stands=stands)
     rows, said = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges, _is_direct(task))
     return ResolvedTask(task, poses, rows, apart, waypoints, said, stands)
+
+
+def _rested(poses: Poses, task: Task, x0: np.ndarray) -> np.ndarray:
+    """The states (N+1, nx) of the motion through poses that is at rest for a while at the end."""
+    return reference_states(task, resting(poses, 1.0 - MOVING_SHARE), x0)
 
 
 def _stands_all_along(table: dict[str, Any], task: Task, poses: Poses) -> bool:
@@ -264,18 +268,34 @@ def guess_of(way: ResolvedTask, dynamics: RigidBodyDynamics, x0: np.ndarray) -> 
     return ReferenceTrajectory(controls(way.task, way.poses, dynamics, x0), way.rows, _is_direct(way.task))
 
 
-def jumping_guess(way: ResolvedTask, build: Callable[..., Problem], table: dict[str, Any]) -> np.ndarray | None:
-    """Controls (N, nu) of the same task with phases of its jumps, from its table; None without jumps.
+def with_jumps(
+    way: ResolvedTask, problem: Problem, table: dict[str, Any], limits: Limits | None
+) -> tuple[Problem, np.ndarray] | None:  # fmt: skip
+    """The problem with the cost of a motion that has the task's jumps, and its states (N+1, nx); None without jumps.
 
-    Where a machine stands hardly a gradient leads off the ground. The motion of the phases has it in the air, and
-    multiple shooting finds the push.
+    Where a machine stands hardly a gradient leads off the ground. This motion is in the air.
     """
-    if not way.jumps or table["guess"] != "auto":
+    if way.gait or table["guess"] != "auto":
         return None
-    try:
-        return build(**{name: value for name, value in table.items() if name != RESOLVED}, phase=way.jumps).us
-    except PlannerError:  # its legs do not reach
+    dynamics, task = problem.dynamics, way.task
+    assert isinstance(dynamics, RigidBodyDynamics)  # of a file's problem
+    ranges, moves = (limits or Limits(position="off")).position_ranges(dynamics), None
+    for bent in BENT:
+        phases = phases_of_jumps(task, way.poses, dynamics, ranges, bent)
+        if not phases:
+            return None
+        rested = _rested(way.poses, task, problem.x0)
+        try:
+            moves = gait_of(phases).motion(task.mechanism, rested, dynamics.dt, ranges, _is_direct(task))
+            break
+        except PlannerError:  # its legs do not reach: they have to be more bent
+            continue
+    if moves is None:
         return None
+    rows, said = moves
+    flying = way._replace(rows=rows, gait=said, stands=True)
+    weights = weights_of(table, dynamics, problem.x0, flying, limits).weights | table["weights"]
+    return replace(problem, cost=cost_of(flying, dynamics, weights)[0]), rows
 
 
 def _is_direct(task: Task) -> bool:

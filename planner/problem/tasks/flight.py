@@ -36,7 +36,9 @@ from planner.problem.tasks.legs import height_of, standing_feet
 from planner.problem.tasks.poses import Poses, stage_targets
 from planner.problem.tasks.timed_task import Task
 
-BENT = 0.05  # of the height of the centre of mass, by which legs are shorter than at their longest at a take-off
+# Of the height of the centre of mass, by which legs are shorter than at their longest at a take-off: more where they
+# are not beneath the machine then.
+BENT = (0.05, 0.1, 0.2)
 GOAL_SCALE, FOOT_SCALE = 0.1, 1e-3  # m of residuals of 1: what the legs lack is left to the goal
 
 
@@ -61,19 +63,19 @@ def check_flight(task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: 
 
 
 def phases_of_jumps(
-    task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: np.ndarray
+    task: Task, poses: Poses, dynamics: RigidBodyDynamics, ranges: np.ndarray, bent: float = BENT[0]
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Tables [[phase]] of a machine that is to jump to goals in flight, each at the apex of a parabola; [] for none.
 
-    It stands before and after. From the height c above what its legs reach it falls for sqrt(2 c / g), from BENT of its
-    own height more, since they are not quite straight then. Arguments as in check_flight().
+    It stands before and after. From the height c above what its legs reach it falls for sqrt(2 c / g), from `bent` of
+    its own height more, since they are not quite straight then. Other arguments as in check_flight().
     """
     mechanism, found, end = dynamics.mechanism, list[dict[str, Any]](), 0.0
     goals = list(_in_flight(task, poses, dynamics))
     if not goals or mechanism.reduction is not None:
         return []
     standing = standing_feet(mechanism, poses.q[0])
-    feet, bend = [foot.name for foot in standing], BENT * height_of(mechanism, poses.q[0], standing)
+    feet, bend = [foot.name for foot in standing], bent * height_of(mechanism, poses.q[0], standing)
     for one in goals:
         c = height_above_legs(mechanism, one.q, poses.q[0], standing, ranges, one.clearance)
         if c <= 0.0:

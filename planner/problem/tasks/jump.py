@@ -5,8 +5,11 @@ at v = g T / 2. Before, it goes down to a depth d below the height of the take-o
 
     z = d s^3,    s = 0 ... 1 in 3 d / v seconds,
 
-which ends at v and accelerates by at most 2/3 v^2 / d, 2 g by default: legs carry three times the weight. A landing
-is the same backwards. Feet stay where they stand, and legs go from their pose at the take-off to that at the landing.
+which ends at v and accelerates by at most 2/3 v^2 / d, 2 g where legs bend so far: they carry three times the weight;
+else 4 or 8 g. A landing is the same backwards. Feet stay where they stand, and legs go from their pose at the take-off
+to that at the landing.
+A motion with one flight goes its way along the ground, and turns, in the same time: as s^3 while it is pushed, so that
+the force has one direction, and at one speed while it flies. With the crouch by default 3/4 of the way are in the air.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from planner.model.mechanism import Mechanism
 from planner.problem.initial_guess import minimum_jerk
 from planner.problem.tasks.legs import REACHED, Foot, bent, legs_of, points_of_feet, shifted
 
-DEPTH = 2.0 / 3.0  # of c: for an acceleration of 2 g
+DEPTHS = (2.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)  # of c: for accelerations of 2, 4 and 8 g
 LONGEST_PUSH = 0.6  # of the time on the ground before a take-off, the rest of it for the way down
 HALVINGS = 6  # of the interval in which legs begin to reach the ground: to 2 % of it
 MATCHES = 5  # times that the centre of mass is put on its way and legs bent: each moves the other
@@ -48,21 +51,25 @@ def jumping(
     if mechanism.reduction is not None or mechanism.has_closed_chains:
         return None
     n = feet[0].normal
-    wanted = _heights(center_of_mass(mechanism, q) @ n, flights, abs(float(mechanism.gravity @ n)), dt)
-    if wanted is None:
-        return None
-    on_ground = np.ones(len(q), dtype=bool)
+    heights, g = center_of_mass(mechanism, q) @ n, abs(float(mechanism.gravity @ n))
+    at, on_ground = mechanism.q_address[legs_of(mechanism, feet)], np.ones(len(q), dtype=bool)
     for a, b in flights:
         on_ground[a + 1 : b] = False
-    at = mechanism.q_address[legs_of(mechanism, feet)]
-    errors = np.zeros(1)
-    for _ in range(MATCHES):
-        q = shifted(mechanism, q, np.outer(wanted - center_of_mass(mechanism, q) @ n, n))
-        q[on_ground], errors = bent(mechanism, q[on_ground], feet, places[on_ground], ranges)
-        for a, b in flights:
-            share = minimum_jerk(np.linspace(0.0, 1.0, b - a + 1))[0][:, None]
-            q[a : b + 1, at] = q[a, at] + share * (q[b, at] - q[a, at])
-    return q if errors.max() <= REACHED else None
+    for depth in DEPTHS:
+        found = _heights(heights, flights, g, dt, depth)
+        if found is None:
+            return None
+        wanted, pushes = found
+        placed, errors = _at_speed(mechanism, q, flights[0], pushes) if len(flights) == 1 else q, np.zeros(1)
+        for _ in range(MATCHES):
+            placed = shifted(mechanism, placed, np.outer(wanted - center_of_mass(mechanism, placed) @ n, n))
+            placed[on_ground], errors = bent(mechanism, placed[on_ground], feet, places[on_ground], ranges)
+            for a, b in flights:
+                share = minimum_jerk(np.linspace(0.0, 1.0, b - a + 1))[0][:, None]
+                placed[a : b + 1, at] = placed[a, at] + share * (placed[b, at] - placed[a, at])
+        if errors.max() <= REACHED:
+            return placed
+    return None
 
 
 def height_above_legs(
@@ -89,9 +96,34 @@ def height_above_legs(
     return high
 
 
-def _heights(z: np.ndarray, flights: list[tuple[int, int]], g: float, dt: float) -> np.ndarray | None:
-    """(N+1,) m, of the centre of mass with its flights, from those of the motion z (N+1,)."""
-    found, stood = z.copy(), 0
+def _at_speed(mechanism: Mechanism, q: np.ndarray, flight: tuple[int, int], pushes: list[int]) -> np.ndarray:
+    """A motion (N+1, nq) at other times: pushed and caught in so many knots each, at one speed between."""
+    (a, b), (push, catch), space = flight, pushes, mechanism.space
+    x = np.zeros((len(q), space.nx))
+    x[:, : mechanism.nq] = q
+    steps = space.difference(x[1:], x[:-1])[:, : mechanism.nv]
+    path = np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
+    share = np.concatenate([
+        np.zeros(a - push), push / 3.0 * np.linspace(0.0, 1.0, push + 1)[:-1] ** 3, push / 3.0 + np.arange(b - a + 1),
+    ])  # fmt: skip
+    whole = share[-1] + catch / 3.0
+    share = np.append(share, whole - catch / 3.0 * np.linspace(1.0, 0.0, catch + 1)[1:] ** 3)
+    share = np.append(share, np.full(len(q) - len(share), whole)) / whole
+    at = np.interp(share * path[-1], path, np.arange(len(q)))
+    k = np.minimum(at.astype(int), len(q) - 2)
+    displacement = np.zeros((len(q), space.ndx))
+    displacement[:, : mechanism.nv] = (at - k)[:, None] * steps[k]
+    return space.integrate(x[k], displacement)[:, : mechanism.nq]
+
+
+def _heights(
+    z: np.ndarray, flights: list[tuple[int, int]], g: float, dt: float, depth: float
+) -> tuple[np.ndarray, list[int]] | None:  # fmt: skip
+    """(N+1,) m, of the centre of mass with flights, from those of the motion z (N+1,), and knots of each push.
+
+    It crouches `depth` of the height of a flight below its take-off.
+    """
+    found, stood, times = z.copy(), 0, list[int]()
     for k, (a, b) in enumerate(flights):
         T = (b - a) * dt
         c, v, t = g * T**2 / 8.0, g * T / 2.0, dt * np.arange(b - a + 1)
@@ -100,17 +132,18 @@ def _heights(z: np.ndarray, flights: list[tuple[int, int]], g: float, dt: float)
         if low < min(z[stood], z[end]):
             return None
         found[a : b + 1] = low + v * t - 0.5 * g * t**2
-        found[stood : a + 1] = _push(z[stood], low, (c, v), a - stood, dt)
-        found[b : end + 1] = _push(z[end], low, (c, v), end - b, dt)[::-1]
-        stood = end
-    return found
+        found[stood : a + 1], push = _push(z[stood], low, (depth * c, v), a - stood, dt)
+        backwards, catch = _push(z[end], low, (depth * c, v), end - b, dt)
+        found[b : end + 1] = backwards[::-1]
+        stood, times = end, [*times, push, catch]
+    return found, times
 
 
-def _push(z: float, low: float, of: tuple[float, float], knots: int, dt: float) -> np.ndarray:
-    """(knots + 1,) m, heights from z at rest to `low`, at the speed of a flight `of` c, m, and v, m/s."""
-    c, v = of
-    depth = max(min(DEPTH * c, LONGEST_PUSH * knots * dt * v / 3.0), low - z)
+def _push(z: float, low: float, of: tuple[float, float], knots: int, dt: float) -> tuple[np.ndarray, int]:
+    """(knots + 1,) m, heights from z at rest to `low`, from a depth `of` c, m, to a speed v, m/s; knots of the push."""
+    most, v = of
+    depth = max(min(most, LONGEST_PUSH * knots * dt * v / 3.0), low - z)
     pushes = min(max(round(3.0 * depth / v / dt), 1), knots)
     down = minimum_jerk(np.linspace(0.0, 1.0, knots - pushes + 1))[0] if knots > pushes else np.ones(1)
     rise = low - depth + depth * np.linspace(0.0, 1.0, pushes + 1) ** 3
-    return np.concatenate([z + down * (rise[0] - z), rise[1:]])
+    return np.concatenate([z + down * (rise[0] - z), rise[1:]]), pushes
