@@ -19,9 +19,11 @@ from planner.control.judging import CallTimes, LoopVerdict, judge
 from planner.control.loop_margins import fitting_rate, margins, measured_calls
 from planner.control.simulating import simulate
 from planner.control.window_parts import horizon_and_rate
+from planner.problem.default_appearance import appearance_of
 from planner.problem.goals import goals_of
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.pushes import Push, pushed_step
 from planner.view.plots.case_pictures import draw_loop
 from planner.view.plots.style import save
@@ -146,14 +148,15 @@ def _advice(controller: Controller, calls: CallTimes, driven: Callable[[Controll
     return f"{late} It needs a faster computer, or a task with longer stages."
 
 
-def _film(arguments: argparse.Namespace, loop: object, place: Path, console: Console) -> str:
-    """Film a loop; why not, or ""."""
+def _film(arguments: argparse.Namespace, loop: Replay, place: Path, console: Console) -> str:
+    """Film a loop, twice as fast as the film of its plan, in real time at most: half of it is rest; why not, or ""."""
     if arguments.no_video:
         return "No video was asked for (--no-video)."
     from planner.view.render.video import render_video
 
     try:
-        render_video(loop, place / "video.mp4", progress=console.progress("video"))  # type: ignore[arg-type]
+        speed = min(1.0, 2.0 * appearance_of(loop.plan.problem).speed)
+        render_video(loop, place / "video.mp4", speed=speed, progress=console.progress("video"))
     except RenderingUnavailable as error:
         return str(error)
     return ""

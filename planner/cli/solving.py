@@ -26,13 +26,14 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem_parts import checked_durations, durations_or_default
 from planner.solvers.options import MAX_STARTS
 from planner.solvers.slq import solve
-from planner.solvers.work import WorkBudget
+from planner.solvers.work import WorkBudget, work_of_stage
 from planner.sweeps.executors import executor_of
 
 if TYPE_CHECKING:
     from planner.proof.diagnostics import SuggestedFix
 
 INTERRUPTED = 130  # exit code
+LONG_ITERATION = 0.5  # s, by its work: said before planning
 
 
 def asked_problem(arguments: argparse.Namespace) -> ProblemFile:
@@ -104,6 +105,9 @@ def solved(
 ) -> tuple[Plan, float]:  # fmt: skip
     """The plan and the time of its solve, s; `purpose` of a solve after the first is printed with its table."""
     problem = asked.problem
+    iteration = problem.N * work_of_stage(problem)
+    if iteration > LONG_ITERATION:  # or nothing is seen for that long, and nobody knows why
+        console.write_progress(f"an iteration takes about {iteration:.1g} s")
     solve(problem, hessian=arguments.hessian, max_iterations=1)  # compiles outside of the measured time
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
     for note in asked.notes:

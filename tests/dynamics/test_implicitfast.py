@@ -127,3 +127,26 @@ def test_it_is_chosen_where_a_closed_chain_has_stiff_damping():
     ends = [[dynamics.step((x + s * h * e)[None], u)[0] for s in (1, -1)] for e in np.eye(space.ndx)]
     theirs = np.array([(ahead - back) / (2.0 * h) for ahead, back in ends]).T
     np.testing.assert_allclose(A[0], theirs, atol=1e-7)  # rounding over h, of states of size 1
+
+
+@pytest.mark.parametrize(
+    ("damping", "shape", "integrator", "substeps"),
+    # of rates of 97 and 993 per s, which RK4 follows by 2 and 10 substeps; the implicit method is exact by 4
+    [
+        (1, "", "rk4", 2),
+        (100, "", "rosenbrock", 4),
+        (100, '<geom name="floor" type="plane" size="1 1 1"/>', "rk4", None),
+    ],
+)
+def test_a_method_is_chosen_by_what_it_costs_where_nothing_touches(damping, shape, integrator, substeps):
+    m = Mechanism.from_mjcf(
+        f'<mujoco><worldbody>{shape}<body pos="0 0 1"><joint name="a" axis="0 1 0" damping="{damping}"/>'
+        '<geom size=".1" pos=".3 0 0" mass="1"/><body pos=".6 0 0"><joint name="b" axis="0 1 0" damping="1"/>'
+        '<geom size=".1" pos=".3 0 0" mass="1"/></body></body></worldbody>'
+        '<actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>',
+        contacts="file" if shape else "auto",
+    )
+    auto = {"dt": "auto", "substeps": "auto", "integrator": "auto", "duration": 1.0}
+    table, chosen, _ = with_step(auto, m, (), [m.home])
+    assert (table["integrator"], table["dt"]) == (integrator, 0.01)
+    assert substeps in (None, chosen)

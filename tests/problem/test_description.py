@@ -1,5 +1,7 @@
 """A machine is described whatever is wrong with it: what it is, what mends it, and a problem to start from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -232,3 +234,39 @@ def test_joints_without_names_are_written_as_lists(tmp_path):
     file = open_model_file(tmp_path / "arm.xml")
     (tmp_path / "p.toml").write_text(starter_text("arm.xml", "p.toml", file, describe(file)))
     assert load_problem(tmp_path / "p.toml").x0.shape == (4,)
+
+
+def test_the_first_move_of_a_slow_joint_is_shorter_and_one_that_is_too_slow_stays():
+    def goal(*speeds):
+        limits = "".join(
+            f'<body pos="0 0 {i}"><joint name="j{i}" type="slide" axis="1 0 0" range="-10 10" limited="true"/>'
+            f'<geom size=".1" mass="1"/></body>'
+            for i in range(len(speeds))
+        )
+        motors = "".join(f'<motor joint="j{i}" ctrlrange="-40 40"/>' for i in range(len(speeds)))
+        file = open_model_file(f"<mujoco><worldbody>{limits}</worldbody><actuator>{motors}</actuator></mujoco>")
+        known = describe(file)
+        assert known.loaded.mechanism is not None
+        mechanism = replace(known.loaded.mechanism, velocity_limit=np.array(speeds))
+        return example_task(file.survey.model, mechanism, known.joints)
+
+    slow = goal(0.1)
+    assert slow.duration == 4.0
+    assert slow.goal[0] == pytest.approx(0.3 * 0.1 * 4.0 / (15.0 / 8.0), rel=1e-3)  # a peak of 0.3 of the limit
+    assert list(goal(0.4, 0.01).goal) == [0]  # 0.0064 m of 0.12 or more
+    assert list(goal(0.01).goal) == [0]  # or there would be none
+
+
+def test_of_many_joints_those_between_the_base_and_the_fingers_move():
+    fingers = "".join(
+        f'<body pos=".1 .02 0"><joint name="f{i}" axis="0 1 0"/><geom size=".005" mass=".01"/></body>'
+        for i in range(12)
+    )
+    body = (
+        '<body><joint name="base" axis="0 0 1"/><geom size=".1" mass="20"/>'
+        '<body pos="1 0 0"><joint name="arm" axis="0 0 1"/><geom size=".05" mass="2"/>' + fingers + "</body></body>"
+    )
+    names = ["base", "arm", *(f"f{i}" for i in range(12))]
+    motors = "".join(f'<motor joint="{name}" ctrlrange="-40 40"/>' for name in names)
+    _, move = moved(open_model_file(f"<mujoco><worldbody>{body}</worldbody><actuator>{motors}</actuator></mujoco>"))
+    assert list(move.goal) == [1]  # 10 % of the mass; the base carries all of it, a finger 0.05 %

@@ -31,6 +31,7 @@ SWING = (
     1.0  # rad in a stage: gains for controls that are constant over a longer part of a swing excite it between knots
 )
 HALVINGS = 3  # of the stage, where damping is taken implicitly
+FEW = 8  # substeps of RK4; a damping that asks for more is taken implicitly where that takes no more of them
 
 
 def with_step(
@@ -44,9 +45,11 @@ def with_step(
     The states (nx,), with home where no ground is near, are where the machine's fastest motion is looked for. A stage
     is 0.01 s with RK4. Where 16 substeps cannot follow the machine's fastest motion, its damping is taken implicitly,
     at the stage or a half, a quarter or an eighth of it, by the Rosenbrock method; where that is too coarse, too, the
-    stage is what RK4 can follow, but never below SHORTEST, where damping of single joints is taken implicitly. An
-    oscillation that lasts turns by at most SWING in a stage, unless that asks for less than SHORTEST. The stage is a
-    little shorter than all this: a whole number of stages is the duration.
+    stage is what RK4 can follow, but never below SHORTEST, where damping of single joints is taken implicitly. Where
+    nothing touches and more than FEW substeps could follow it, the Rosenbrock method, whose substep takes half of the
+    time, is preferred if it is exact with as many or fewer. An oscillation that lasts turns by at most SWING in a
+    stage, unless that asks for less than SHORTEST. The stage is a little shorter than all this: a whole number of
+    stages is the duration.
 
     Where contacts with a lead ask for the shortest steps and the machine `leaps`, since a foot stands at all times and
     none lands hard, the leapfrog method takes the place of RK4: an eighth of the evaluations, and the same plan to 1 %.
@@ -66,16 +69,24 @@ def with_step(
     reasons, dt, substeps, integrator = {}, table["dt"], table["substeps"], table["integrator"]
     most = substeps if isinstance(substeps, int) else MAX_SUBSTEPS
     closed = mechanism.has_closed_chains  # which the Rosenbrock method does not keep
+    exact, counts = MAX_SUBSTEPS, (MAX_SUBSTEPS,)  # substeps of the Rosenbrock method, and which are tried
+    if closed or substeps not in (AUTO, MAX_SUBSTEPS):
+        counts = ()
+    elif substeps == AUTO and not (mechanism.contacts or mechanism.body_contacts):  # which substeps have to follow
+        counts = (MAX_SUBSTEPS // 4, MAX_SUBSTEPS // 2, MAX_SUBSTEPS)
     if integrator == AUTO:
         integrator, implicit = "rk4", ""
         lengths = [usual * 0.5**k for k in range(HALVINGS + 1)] if dt == AUTO else [number("dt", dt, greater_than=0.0)]
         for longest in lengths:
-            if found.rate * longest <= most * MAX_RATE_STEP:
+            fits = found.rate * longest <= most * MAX_RATE_STEP
+            needed = substeps_of(found, longest) if fits else MAX_SUBSTEPS  # of RK4
+            if fits and (needed <= FEW or len(counts) <= 1):
                 break
-            if closed or substeps not in (AUTO, MAX_SUBSTEPS):
-                continue
-            if implicit_error(mechanism, longest, states, prescribed) <= IMPLICIT:
-                implicit = "rosenbrock"
+            fewest = _fewest_exact(counts, mechanism, longest, states, prescribed)
+            if fewest <= needed:
+                implicit, exact = "rosenbrock", fewest
+                break
+            if fits:
                 break
         else:
             longest, shortest = lengths[0], SHORTEST if dt == AUTO else lengths[0]
@@ -84,7 +95,7 @@ def with_step(
                 implicit = "implicitfast" if follows else ""
         if implicit:
             integrator, dt = implicit, _whole(table["duration"], longest) if dt == AUTO else dt
-            parts = f"{MAX_SUBSTEPS} substeps" if integrator in able else "1 step"
+            parts = f"{exact} substeps" if integrator in able else "1 step"
             reasons["substeps"] = (
                 f"damping is taken implicitly in {parts} a stage of {dt:.4g} s, because {found.joint} has a rate of "
                 f"{found.rate:.4g} per s."
@@ -100,7 +111,7 @@ def with_step(
         count = leaps_of(mechanism, found, number("dt", dt, greater_than=0.0))
         if leaps and count and table["integrator"] == AUTO and integrator == "rk4":
             integrator = LEAPFROG
-        substeps = MAX_SUBSTEPS if integrator in able else 1
+        substeps = exact if integrator in able else 1
         if integrator == LEAPFROG and count:
             substeps = count
             reasons["substeps"] = (
@@ -112,6 +123,17 @@ def with_step(
             if substeps > 1:
                 reasons["substeps"] = reason(found, substeps)
     return table | {"dt": dt, "integrator": integrator}, substeps, reasons
+
+
+def _fewest_exact(
+    counts: Sequence[int], mechanism: Mechanism, dt: float, states: Sequence[np.ndarray], prescribed: Collection[str]
+) -> int:  # fmt: skip
+    """The first of these counts of substeps with which the Rosenbrock method is exact in a stage of dt s.
+
+    One more than the most for none.
+    """
+    errors = ((count, implicit_error(mechanism, dt, states, prescribed, count)) for count in counts)
+    return next((count for count, error in errors if error <= IMPLICIT), MAX_SUBSTEPS + 1)
 
 
 def _whole(duration: Any, longest: float) -> float:

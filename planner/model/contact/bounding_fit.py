@@ -15,7 +15,6 @@ import numpy as np
 DIRECTIONS = 150  # that a fit looks at
 SEEN = 4000  # that its excess is measured with
 TIGHTER = 0.75  # of the excess of a line: what a box, which takes longer to compute with, must be better than
-POWER = 4
 STEPS = 600  # of the search for a line or a box
 
 
@@ -36,8 +35,11 @@ def fit_bounding_shape(points: np.ndarray) -> BoundingFit:
 @lru_cache(maxsize=256)  # a problem is built again for every finer step
 def _fitted(points: bytes) -> BoundingFit:
     corners = _corners(np.frombuffer(points).reshape(-1, 3))
-    line = min((_search(corners, start) for start in _starts(corners, lines=True)), key=lambda fit: fit.overestimate)
-    box = min((_search(corners, start) for start in _starts(corners, lines=False)), key=lambda fit: fit.overestimate)
+    support = np.max(sphere(SEEN) @ corners.T, axis=1)
+    line, box = (
+        min((_search(corners, support, start) for start in _starts(corners, lines)), key=lambda fit: fit.overestimate)
+        for lines in (True, False)
+    )
     return box if box.overestimate < TIGHTER * line.overestimate else line
 
 
@@ -78,7 +80,8 @@ def _starts(corners: np.ndarray, lines: bool) -> list[np.ndarray]:
     """Cores to begin with: a turn (3,), a centre (3,) and half lengths, along the axes of the file and the spread."""
     from scipy.spatial.transform import Rotation
 
-    frames = [np.eye(3), np.linalg.svd(corners - corners.mean(axis=0), full_matrices=True)[2].T]
+    few = len(corners) < 3  # of which a reduced decomposition has no three axes; of many the full one takes seconds
+    frames = [np.eye(3), np.linalg.svd(corners - corners.mean(axis=0), full_matrices=few)[2].T]
     found = []
     for axes in frames:
         axes = axes * np.sign(np.linalg.det(axes))
@@ -95,21 +98,24 @@ def _starts(corners: np.ndarray, lines: bool) -> list[np.ndarray]:
     return found
 
 
-def _search(corners: np.ndarray, start: np.ndarray) -> BoundingFit:
+def _search(corners: np.ndarray, seen_support: np.ndarray, start: np.ndarray) -> BoundingFit:
+    """The fit found from a start; `seen_support` (SEEN,) is the support of the corners, over sphere(SEEN)."""
     from scipy.optimize import minimize
 
     scale = 0.5 * float(np.linalg.norm(np.ptp(corners, axis=0))) or 1.0
     directions = sphere(DIRECTIONS)
     support = np.max(directions @ corners.T, axis=1) / scale
-    unit = corners / scale
+    unit = np.ascontiguousarray(corners.T) / scale  # by coordinate: three long rows
 
     def beyond(z: np.ndarray) -> float:
         axes, centre, half = _core(z)
-        local = (unit - centre) @ axes
-        local -= np.clip(local, -half, half)
-        radius = np.sqrt(np.einsum("ij,ij->i", local, local).max())
+        local = np.abs(axes.T @ unit - (centre @ axes)[:, None])
+        local -= half[:, None]
+        np.maximum(local, 0.0, out=local)
+        radius = np.sqrt(np.einsum("ij,ij->j", local, local).max())
         gap = directions @ centre + np.abs(directions @ axes) @ half + radius - support
-        return float(np.mean(gap**POWER)) ** (1.0 / POWER)
+        square = gap * gap
+        return float(square @ square / len(gap)) ** 0.25
 
     z0 = start.copy()
     z0[3:] /= scale
@@ -122,7 +128,7 @@ def _search(corners: np.ndarray, start: np.ndarray) -> BoundingFit:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = axes, centre
     seen = sphere(SEEN)
-    gap = seen @ centre + np.abs(seen @ axes) @ half + radius - np.max(seen @ corners.T, axis=1)
+    gap = seen @ centre + np.abs(seen @ axes) @ half + radius - seen_support
     return BoundingFit(T, half, radius, float(gap.max()))
 
 
