@@ -1,5 +1,6 @@
 """A gait in one line: which feet swing when, as a reference of the weights and the first guess; and what it refuses."""
 
+import math
 import re
 
 import numpy as np
@@ -13,7 +14,8 @@ from planner.dynamics.kinematics import center_of_mass, points_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.default_weights import MOVING_SHARE
 from planner.problem.reaching_cost import straight_reference
-from planner.problem.tasks.gait import TURNS, Gait, gait_of
+from planner.problem.tasks.gait import STRIDE, TURNS, Gait, _holds, gait_of
+from planner.problem.tasks.legs import height_of, standing_feet
 
 SCENE = ROOT / "mjcf" / "quadruped" / "scene.xml"
 FEET = ("front_left", "front_right", "rear_left", "rear_right")
@@ -388,3 +390,32 @@ def test_a_flight_that_no_work_of_the_legs_pushes_is_refused(straight):
     still = np.tile(rows[0], (1501, 1))
     with pytest.raises(planner.PlannerError, match=r"\[\[phase\]\] 1 has no foot on the ground for 15 s.* 73\.6 m/s"):
         gait_of(phases((None, []))).motion(mechanism, still, dt, np.tile([-2.0, 2.0], (mechanism.nv, 1)))
+
+
+# m from the centre of mass: two rows of three feet, and two of two
+SIX = np.array([[x, y, -0.1] for y in (0.15, -0.15) for x in (0.12, 0.0, -0.12)])
+FOUR = SIX[[0, 2, 3, 5]]
+
+
+@pytest.mark.parametrize(
+    ("feet", "turns", "holds"),
+    [
+        (SIX, [0.0, 0.5, 0.0, 0.5, 0.0, 0.5], True),  # two tripods
+        (SIX, [0.0, 0.0, 0.0, 0.5, 0.5, 0.5], False),  # one side after the other
+        (FOUR, TURNS["trot"], False),
+        (FOUR, TURNS["walk"], False),  # the centre of mass is on the edge of three feet
+        (FOUR + np.array([0.3, 0.0, 0.0]), [0.0, 0.25, 0.5, 0.75], False),  # behind all of them
+    ],
+)
+def test_three_feet_around_the_centre_of_mass_hold_it(feet, turns, holds):
+    assert _holds(feet, np.array(turns), np.array([0.0, 0.0, 1.0])) == holds
+
+
+def test_a_machine_that_feet_hold_at_all_times_takes_as_few_cycles_as_its_way_needs(straight, monkeypatch):
+    """0.4 m by half of the height of the centre of mass a cycle; else a cycle would last twice sqrt(h / g)."""
+    mechanism, rows, dt = straight
+    fall = Gait("trot").motion(mechanism, rows, dt, free(mechanism))[1]
+    monkeypatch.setattr("planner.problem.tasks.gait._holds", lambda *_: True)
+    held = Gait("trot").motion(mechanism, rows, dt, free(mechanism))[1]
+    h = height_of(mechanism, rows[0], standing_feet(mechanism, rows[0]))
+    assert int(held.split()[1]) == min(int(fall.split()[1]), math.ceil(0.4 / (STRIDE * h)))
