@@ -16,9 +16,9 @@ from planner.base.measured import aligned
 
 if TYPE_CHECKING:
     from planner.problem.plan import Iteration, Start
+    from planner.solvers.continuation import RelaxationStep
     from planner.solvers.free_time import DurationTrial
     from planner.solvers.periodic import PeriodicPass
-    from planner.solvers.relaxation import RelaxationStep
 
 _LONGEST = 1000  # characters of a sentence that quotes what it was given
 

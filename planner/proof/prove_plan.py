@@ -306,6 +306,10 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
         failures = "; ".join(sentence.removesuffix(".") for sentence in found)
         in_file = () if broken.title == FILE else next(one for one in judged if one.title == FILE).failures
         more += "".join(f" In your file: {one.note}" for one in in_file if one.bound == 0.0)
+        if broken.title.startswith("refined") and any(one.title == FILE and one.passed for one in judged):
+            more += (
+                " Your file meets the goals, but with shorter steps the motion is another, so that this is by chance."
+            )
         if run.reached and broken.title != "plan":  # reaching a range causes the other errors
             return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
         return f"{broken.title}: {failures}.{more}"

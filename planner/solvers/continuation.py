@@ -36,7 +36,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,6 +58,34 @@ MIN_FREE_FACTOR = 2.0  # factor at which bounds without an opposite one admit th
 SMOOTHER = 100.0  # of friction loss, which of legs is full from 0.02 rad/s on, where a leap has 20
 SOFT_FACTOR = 10.0  # of the depth that contacts sink in, at which a continuation in the contact begins
 REACH = 2.0  # distance at which a force at a distance begins, over the gap at the start
+
+
+class RelaxationStep(NamedTuple):
+    """One solve of a relaxation."""
+
+    number: int  # Counted from 0
+    # "direct", "collision-free", "tracked", "held", "line", "shaken" (see solvers.other_guesses), "distance",
+    # "friction", "contacts", "resumed", "free", "limits", "swing" or "duration"
+    stage: str
+    factor: float  # By which contacts sink deeper, or limits are wider; inf without limits
+    duration: float  # s
+    cost: float
+    iterations: int
+    status: Status
+    meets_goal: bool  # Whether it was kept, so that the next solve starts from it
+
+    def __str__(self) -> str:
+        row = (
+            f"{self.number:5d}  {self.stage:14s}  {self.factor:7.4g}  {self.duration:11.5g}  {self.cost:15.8g}  "
+            f"{self.iterations:10d}  {self.status.name}{'' if self.meets_goal else ', not kept'}"
+        )
+        return row if self.number else f"{self.header()}\n{row}"
+
+    @staticmethod
+    def header() -> str:
+        """The heading of the table of str(); part of the first row."""
+        columns = f"{'factor':>7}  {'duration, s':>11}  {'cost':>15}  {'iterations':>10}  status"
+        return f"{'relax':>5}  stage           {columns}"
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +47,7 @@ from planner.solvers.continuation import (
     SMOOTHER,
     Continuation,
     DistantContacts,
+    RelaxationStep,
     SofterContacts,
     WiderLimits,
     at_limits,
@@ -65,6 +66,7 @@ from planner.solvers.trapped import (
     NEAR,
     failed,
     is_at_goals,
+    is_cheaper,
     is_settled,
     is_trapped,
     lacks_only_weight,
@@ -75,7 +77,7 @@ from planner.solvers.trapped import (
 )
 from planner.solvers.work import WorkBudget
 
-DISTANT_ITERATIONS = 100  # after which a solve with forces at a distance goes on only if its plan meets the goals
+DISTANT_ITERATIONS = 100  # after which a solve with forces at a distance goes on only if its plan is kept
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
 MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
 SHAKES = ((SHAKE, 0), (LARGE_SHAKE, 1), (LARGE_SHAKE, 2))  # shares and seeds, while a plan ends where it began
@@ -87,34 +89,6 @@ EASIER = 10.0  # times the cost of the direct plan: a problem of softer contacts
 
 # One solve from states (N+1, nx) or None, penalties or None, and controls (N, nu), with an iteration limit.
 SolveOne = Callable[..., Plan]
-
-
-class RelaxationStep(NamedTuple):
-    """One solve of a relaxation."""
-
-    number: int  # Counted from 0
-    # "direct", "collision-free", "tracked", "held", "line", "shaken" (see solvers.other_guesses), "distance",
-    # "friction", "contacts", "resumed", "free", "limits", "swing" or "duration"
-    stage: str
-    factor: float  # By which contacts sink deeper, or limits are wider; inf without limits
-    duration: float  # s
-    cost: float
-    iterations: int
-    status: Status
-    meets_goal: bool  # Whether it was kept, so that the next solve starts from it
-
-    def __str__(self) -> str:
-        row = (
-            f"{self.number:5d}  {self.stage:14s}  {self.factor:7.4g}  {self.duration:11.5g}  {self.cost:15.8g}  "
-            f"{self.iterations:10d}  {self.status.name}{'' if self.meets_goal else ', not kept'}"
-        )
-        return row if self.number else f"{self.header()}\n{row}"
-
-    @staticmethod
-    def header() -> str:
-        """The heading of the table of str(); part of the first row."""
-        columns = f"{'factor':>7}  {'duration, s':>11}  {'cost':>15}  {'iterations':>10}  status"
-        return f"{'relax':>5}  stage           {columns}"
 
 
 def relax(
@@ -164,6 +138,7 @@ class _Relaxation:
     passing: dict[str, float] = field(default_factory=dict)  # the factor and the duration that pass
     best: Plan | None = None  # of the problem itself, for a relaxation that is cut
     is_kept: Callable[[Plan], bool] = meets_goals  # a plan on the way into the limits
+    off_saddle: Trajectory | None = None  # where shaken controls led: the guess is a saddle of softer contacts too
 
     def run(self, direct: Plan) -> Plan:
         problem, limit = self.problem, self.options.max_iterations
@@ -178,6 +153,7 @@ class _Relaxation:
                 plan.status in (Status.CONVERGED, Status.MAX_ITERATIONS) and plan.cost < direct.cost
             ):
                 self.best = direct = replace(plan, starts=direct.starts)
+                self.off_saddle = plan.motion
                 if not is_trapped(problem, direct, self.options):
                     return direct
         stopped = direct.status is Status.MAX_ITERATIONS and look_iterations(problem) < limit
@@ -188,7 +164,7 @@ class _Relaxation:
             stopped = direct.status is Status.MAX_ITERATIONS
         plan = None
         if has_softer(problem):
-            plan = self._by_forces_at_a_distance() if failed(direct) else None
+            plan = self._by_forces_at_a_distance(direct) if failed(direct) and self._distant() else None
             plan = plan or self._by_smoother_friction(direct) or self._by_softer_contacts(direct)
         elif stopped or not meets_goals(direct):
             plan = self._by_other_guesses(direct)
@@ -252,27 +228,32 @@ class _Relaxation:
         return best if best is not None and self._is_better(best, direct) else None
 
     def _is_better(self, plan: Plan, direct: Plan) -> bool:
-        """Whether a plan costs less than the direct one by BETTER_SHARE, or that one is outside of its limits."""
+        """Whether a plan costs less than the direct one by BETTER_SHARE, or that one alone is outside of its limits."""
         outside = direct.status is Status.OUTSIDE_LIMITS and plan.status is not Status.OUTSIDE_LIMITS
-        return outside or not plan.cost >= direct.cost - BETTER_SHARE * abs(direct.cost)
+        return outside or is_cheaper(plan, direct, BETTER_SHARE)
 
     def _distant(self) -> bool:
         """Whether objects are to be moved that nothing touches: no motion nearby reaches them."""
         return has_softer(self.problem) and DistantContacts(self.problem).factor > 1.0
 
-    def _by_forces_at_a_distance(self) -> Plan | None:
-        """The plan of the problem that one whose objects feel their pushers from afar leads to, else None."""
-        if not self._distant():
-            return None
+    def _by_forces_at_a_distance(self, direct: Plan) -> Plan | None:
+        """The plan of the problem that one whose objects feel their pushers from afar leads to, else None.
+
+        The direct one touches nothing: one that costs less by the share NEAR moves what is to be moved, and is kept.
+        """
+
+        def is_kept(plan: Plan) -> bool:
+            return meets_goals(plan) or is_cheaper(plan, direct, NEAR)
+
         family = DistantContacts(self.problem)
         first = self._solve(family.at(family.factor), None, FIRST_ITERATIONS)
-        if not self._report("distance", family.factor, first, meets_goals(first)):
+        if not self._report("distance", family.factor, first, is_kept(first)):
             return None
         # Beyond the reach of the force there is no gradient, so each step halves it, and no step is longer.
         s, halvings = math.log(family.factor), math.ceil(math.log2(family.factor))
         steps = replace(
             self._continuation("distance", family), first_share=1.0 / halvings, growth=1.0, min_share=0.1 / halvings,
-            max_solves=2 * halvings + 16, look_iterations=DISTANT_ITERATIONS,
+            max_solves=2 * halvings + 16, look_iterations=DISTANT_ITERATIONS, meets_goals=is_kept,
         )  # fmt: skip
         s, plan = steps.run(s, first)
         return plan if s == 0.0 else None
@@ -302,11 +283,11 @@ class _Relaxation:
                 same_branch = bool(costs) and plan.cost <= costs[-1] + NEAR * abs(costs[-1])
                 return meets_goals(plan) or (converged and same_branch)
             costs.extend([plan.cost] if converged else [])
-            return converged
+            return converged or is_cheaper(plan, direct, BETTER_SHARE)
 
         family = SofterContacts(self.problem)
         continuation = replace(self._continuation("contacts", family), meets_goals=is_kept)
-        soft = self._solve(family.at(family.factor), None, continuation.look_iterations)
+        soft = self._solve(family.at(family.factor), self.off_saddle, continuation.look_iterations)
         comparable = direct.status is not Status.OUTSIDE_LIMITS and math.isfinite(direct.cost)
         harder = comparable and soft.cost > EASIER * max(1.0, direct.cost) and not meets_goals(soft)
         if not self._report("contacts", family.factor, soft, bool(np.isfinite(soft.xs).all()) and not harder):
@@ -365,11 +346,9 @@ class _Relaxation:
         return None
 
     def _continuation(self, stage: str, family: WiderLimits | SofterContacts | DistantContacts) -> Continuation:
-        def report(s: float, plan: Plan, kept: bool) -> None:
-            self._report(stage, math.exp(s), plan, kept)
-
         return Continuation(
-            lambda s: family.at(math.exp(s)), self._solve, self.is_kept, report,
+            lambda s: family.at(math.exp(s)), self._solve, self.is_kept,
+            lambda s, plan, kept: self._report(stage, math.exp(s), plan, kept),
             max_iterations=self.options.max_iterations,
         )  # fmt: skip
 
@@ -381,12 +360,9 @@ class _Relaxation:
         us = us if problem.bounds is None else problem.bounds.clip(slice(None), us, None)
         return solve(states, penalties, us, max_iterations, None)
 
-    @property
-    def _in_numpy(self) -> bool:
-        return is_in_numpy(self.problem, self.options.rule)
-
     def _allowed(self, problem: Problem, iterations: int) -> int:
-        return iterations if self.budget is None else self.budget.iterations(problem, iterations, 1, self._in_numpy)
+        in_numpy = is_in_numpy(self.problem, self.options.rule)
+        return iterations if self.budget is None else self.budget.iterations(problem, iterations, 1, in_numpy)
 
     def _report(self, stage: str, factor: float, plan: Plan, kept: bool) -> bool:
         duration = float(plan.t[-1])
@@ -395,7 +371,7 @@ class _Relaxation:
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if self.budget is not None and stage != "direct":
-            self.budget.charge(self.problem, plan.nit, self._in_numpy)
+            self.budget.charge(self.problem, plan.nit, is_in_numpy(self.problem, self.options.rule))
             if self.budget.exhausted and not (kept and factor == 1.0):
                 raise _OutOfWorkError(self.budget.end)
         if self.callback is not None:
@@ -404,9 +380,8 @@ class _Relaxation:
 
     def record(self) -> dict[str, Any]:
         """The solves, and the factor of the limits and the duration at which they pass; infinity is None."""
-        factors = [step.factor if math.isfinite(step.factor) else None for step in self.steps]
         rows = [
-            [step.stage, factor, *step[3:6], step.status.name, step.meets_goal]
-            for step, factor in zip(self.steps, factors, strict=True)
+            [one.stage, one.factor if math.isfinite(one.factor) else None, *one[3:6], one.status.name, one.meets_goal]
+            for one in self.steps
         ]
         return {"steps": rows, **self.passing}

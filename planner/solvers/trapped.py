@@ -103,3 +103,8 @@ def is_at_goals(plan: Plan) -> bool:
         return True
     within = np.isfinite(plan.xs).all() and plan.status is not Status.OUTSIDE_LIMITS
     return bool(within and plan.problem is not None and lacks_weight(plan.problem, plan))
+
+
+def is_cheaper(plan: Plan, direct: Plan, share: float) -> bool:
+    """Whether a plan, converged or not, costs less than the direct one by a share of its cost."""
+    return plan.cost < direct.cost - share * abs(direct.cost)

@@ -15,6 +15,7 @@ from planner.solvers import relaxation, slq
 from planner.solvers.continuation import (
     FALL_ITERATIONS,
     Continuation,
+    RelaxationStep,
     WiderLimits,
     at_limits,
     free_problem,
@@ -22,7 +23,7 @@ from planner.solvers.continuation import (
 )
 from planner.solvers.multistart import smooth
 from planner.solvers.other_guesses import other_guesses, stabilizing_guess
-from planner.solvers.relaxation import RelaxationStep, relax
+from planner.solvers.relaxation import relax
 from planner.solvers.trapped import FEW, lacks_weight
 from planner.solvers.work import WorkBudget, work_of_stage
 

@@ -170,9 +170,14 @@ def test_only_what_nothing_drives_is_pushed_from_afar(problem, push):
     assert DistantContacts(driven).factor == 1.0
 
 
-def test_an_object_that_nothing_touches_is_pushed_and_the_last_solve_has_the_files_law(push):
+@pytest.fixture(scope="module")
+def push_plan(push):
+    return planner.solve(push)
+
+
+def test_an_object_that_nothing_touches_is_pushed_and_the_last_solve_has_the_files_law(push, push_plan):
     """The direct solve has no gradient: wherever the finger is, the trolley does not feel it."""
-    plan = planner.solve(push)
+    plan = push_plan
     steps = plan.options["relaxation"]["steps"]
     assert plan.success
     assert plan.problem is push
@@ -183,6 +188,25 @@ def test_an_object_that_nothing_touches_is_pushed_and_the_last_solve_has_the_fil
     touching = body_contact_forces(push.dynamics.mechanism, q, qd).forces.any(axis=(1, 2))
     assert touching.any()
     assert not touching[[0, -1]].any()
+
+
+@pytest.mark.parametrize(("share", "goes_on"), [(0.85, True), (0.95, False)], ids=["it is moved", "it is hardly moved"])
+def test_from_afar_plans_are_kept_that_miss_the_goal_and_cost_less(push, push_plan, share, goes_on):
+    """A gentle force for a long time may bring the object part of the way: only the last plan has to be there."""
+    direct = planner.solve(push, DIRECT)
+    assert direct.missed_goals
+    ramp = push.dynamics.mechanism.body_contacts[0].law.ramp
+
+    def solve_one(asked, *_):
+        near = asked.dynamics.mechanism.body_contacts[0].law.ramp == ramp
+        return push_plan if near and asked is push else replace(direct, problem=asked, cost=share * direct.cost)
+
+    plan, record = relax(push, direct, solve_one, SolverOptions(), None)
+    first = next(step for step in record["steps"] if step[0] == "distance")
+    assert first[-1] == goes_on
+    if goes_on:
+        assert plan.xs is push_plan.xs
+        assert not plan.missed_goals
 
 
 def test_other_contacts_keep_the_compiled_engine_and_other_masses_do_not(problem):

@@ -72,6 +72,7 @@ from planner.cases.problem_file.feasibility_checks import (
     check_goal_differs,
     check_goal_in_time,
     check_momentum,
+    deep_at_start,
 )
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
 from planner.cases.problem_file.keys import DEFAULTS, KEYS, RESOLVED, TABLES, VALUES
@@ -171,9 +172,8 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
         raise PlannerError(
             f"periodic has {cycles} cycles of {problem.N} stages, expected at most {MAX_STAGES} stages together."
         )
-    given = problem.parameters
-    reasons = given[RESOLVED]["reasons"]
-    notes = tuple(reasons[key] for key in TOLD if key in reasons)
+    given, reasons = problem.parameters, problem.parameters[RESOLVED]["reasons"]
+    notes = (*(reasons[key] for key in TOLD if key in reasons), *deep_at_start(problem))
     return ProblemFile(
         problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes,
         given.get("work"), cycles, free,
@@ -316,12 +316,7 @@ def _built(
         reasons["goal"] = "goal names no joint, so that the machine is to end where it starts."
     if left_out := _left_out(mechanism):
         reasons["model"] = f"The model is read without {', '.join(left_out)}."
-    if closed:
-        reasons["closed"] = " ".join(closed)
-    if notes:
-        reasons["settle"] = " ".join(notes.values())
-    if stops:
-        reasons["stops"] = " ".join(stops)
+    reasons |= {key: " ".join(of) for key, of in dict(closed=closed, settle=notes.values(), stops=stops).items() if of}
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
     avoid = Avoid(**table["avoid"]) if "avoid" in table else None
     asked = constraints_of(table.get("constraint", []))

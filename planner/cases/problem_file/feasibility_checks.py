@@ -9,6 +9,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
+from planner.dynamics.contacts import body_contact_forces
 from planner.dynamics.kinematics import center_of_mass, center_of_mass_jacobian
 from planner.dynamics.protocol import rollout_states
 from planner.model.capabilities import capabilities_of, unreached_dofs
@@ -21,6 +22,7 @@ from planner.problem.problem import Problem
 from planner.problem.tasks.momentum import undamped_floating_dofs
 from planner.problem.thrust import missing_thrust
 
+DEEP = 3.0  # times as deep as under the machine's weight: what grasps or leans is less deep in what it touches
 MIN_JERK_PEAK = 1.875  # velocity of a minimum-jerk motion, over its mean
 
 
@@ -91,10 +93,32 @@ def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
             first = mechanism.joint_of(int(np.flatnonzero(loose)[0]))
             raise PlannerError(
                 f"nothing drives or holds {first} in the plan, so that {goal.name} ends {miss:.3g} {goal.unit} from "
-                "the goal whatever the controls do, expected a plane or a box at rest under it, where the machine "
-                "pushes it contacts = { penetration = 0.003, friction = 0.8 } and a sphere or capsule of each, a goal "
-                "where it gets by itself, or a model without that joint."
+                "the goal whatever the controls do. If the machine is to push it, write contacts = { penetration = "
+                "0.003, friction = 0.8 }: then spheres and capsules of both may touch. Else expected a goal where it "
+                "gets by itself, ground under it, or a model without that joint."
             )
+
+
+def deep_at_start(problem: Problem) -> tuple[str, ...]:
+    """A sentence about the two bodies that are deepest in each other at the start, if they are by DEEP rest depths.
+
+    A rest depth is that of the machine's whole weight. The contact throws them apart: the plan begins with a blow.
+    """
+    mechanism = capabilities_of(problem.dynamics).mechanism
+    if mechanism is None or not mechanism.body_contacts:
+        return ()
+    q = problem.x0[: mechanism.nq]
+    depths = body_contact_forces(mechanism, q, np.zeros(mechanism.nv)).depths
+    load = float(np.linalg.norm(mechanism.gravity)) * float(mechanism.mass.sum())
+    shares = [
+        depth / max(pair.law.rest_depth(load), np.finfo(float).tiny)
+        for pair, depth in zip(mechanism.body_contacts, depths, strict=True)
+    ]
+    k = int(np.argmax(shares))
+    if shares[k] < DEEP:
+        return ()
+    name = mechanism.body_contacts[k].name or "two bodies that may touch"
+    return (f"the start has {name} {float(depths[k]):.2g} m deep in each other, and their contact throws them apart.",)
 
 
 def _check_thrust(problem: Problem, shortest: float) -> None:

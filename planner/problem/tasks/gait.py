@@ -11,7 +11,8 @@ body passes over it symmetrically (Raibert, Legged Robots That Balance, 1986), a
 at last where the motion ends. On its way it rises by lift 64 (s (1 - s))^3, at rest at both ends. By default a slot
 lasts sqrt(h / g), h the height of the centre of mass: in that time an inverted pendulum falls away by a factor e. That
 of a walk on two feet lasts twice as long, and SHIFT times that time pass before the first step and after the last one,
-in which the weight goes to one foot and back.
+in which the weight goes to one foot and back. Where the feet that stand have the centre of mass between them in every
+slot, nothing falls: then there are no more cycles than strides of STRIDE h on the way.
 
 Phases say the times of each swing in place of these rules. A foot that is still in the air at the end goes to where the
 motion has it. The zero-moment point is in the middle of the feet that stand (see over_support).
@@ -31,6 +32,7 @@ import numpy as np
 
 from planner.base.arguments import choice, number, short_repr
 from planner.base.errors import PlannerError
+from planner.dynamics.kinematics import center_of_mass
 from planner.model.mechanism import Mechanism
 from planner.model.urdf.write import is_urdf
 from planner.problem.costs.frame import CLEARANCE
@@ -61,6 +63,8 @@ TURNS = {
 }
 SHIFT = 3.0  # times sqrt(h / g), before the first step on two feet: the weight then goes to one of them
 ROUNDING = 1e-9  # of a duration: by which the times of phases miss it
+STRIDE = 0.5  # of the height of the centre of mass, in a cycle of a machine that falls at no time
+WIDEST = 0.9 * np.pi  # rad: largest angle between two feet, as the centre of mass sees them, that hold it firmly
 OVERLAP = 0.2  # of a slot, in which feet of two turns stand by default
 
 
@@ -72,7 +76,7 @@ class Gait:
         kind: One of TURNS, for machines of four feet; None with `feet` or `phases`.
         feet: Turns by the names of bodies, 0 to 1: when in a cycle each begins to swing.
         duty: Share of a cycle in which a foot stands; by default feet of two turns overlap by OVERLAP of a slot.
-        stride: m, at most, of the motion in a cycle; by default a slot lasts sqrt(h / g).
+        stride: m, at most, of the motion in a cycle; by default a slot lasts sqrt(h / g), or more where nothing falls.
         lift: m, of a swinging foot; by default a fifth of the height of the centre of mass, at most CLEARANCE.
         phases: One after another, in place of turns; the last lasts to the end of the motion.
     """
@@ -112,7 +116,8 @@ class Gait:
                     check_flight_time(mechanism, f"[[phase]] {k}", end - begin, ranges)
         else:
             times = dt * last_change(rows), dt * (len(rows) - 1)
-            swings, said = self._swings_of_turns(mechanism, standing, feet, times, h)
+            centre = center_of_mass(mechanism, rows[0, :nq])
+            swings, said = self._swings_of_turns(mechanism, standing, feet, times, h, centre)
         of_foot = np.repeat(np.arange(len(standing)), [len(foot.points) for foot in standing])
         normals = np.array([foot.normal for foot in standing])[of_foot]
         t, of_points = dt * np.arange(len(rows)), [swings[k] for k in of_foot]
@@ -153,8 +158,9 @@ class Gait:
         return [0.0, *(phase.until for phase in self.phases[:-1])]
 
     def _swings_of_turns(
-        self, mechanism: Mechanism, standing: list[Foot], dragged: np.ndarray, times: tuple[float, float], h: float
-    ) -> tuple[list[list[tuple[float, float]]], str]:
+        self, mechanism: Mechanism, standing: list[Foot], dragged: np.ndarray, times: tuple[float, float], h: float,
+        centre: np.ndarray,
+    ) -> tuple[list[list[tuple[float, float]]], str]:  # fmt: skip
         """Begin and end of each foot's swings, s; and words about them.
 
         Args:
@@ -163,6 +169,7 @@ class Gait:
             dragged: (N+1, F, 3) m, where the motion has them.
             times: s, when it comes to rest, and its duration.
             h: m, the height of the centre of mass.
+            centre: (3,) m, where it is at the start.
         """
         turns = self.turns(standing, dragged)
         slots, duty, lead = self.times_of(turns)
@@ -178,6 +185,8 @@ class Gait:
                     f"which the weight goes to one foot and back: expected more than {2.0 * wait + cycle:.2g} s."
                 )
         cycles = round(moving / (slots * slot * falling)) if self.stride is None else math.ceil(distance / self.stride)
+        if self.stride is None and _holds(dragged[0] - centre, turns, standing[0].normal):
+            cycles = min(cycles, math.ceil(distance / (STRIDE * h)))
         cycles = max(1, cycles)
         T = moving / (cycles - 1 + lead + float(turns.max()) + 1.0 - duty)
         begins = wait + T * (np.arange(cycles)[:, None] + lead + turns)  # (cycles, feet) s
@@ -241,6 +250,17 @@ class Gait:
         turns = np.empty(4)
         turns[order] = TURNS[str(self.kind)]
         return turns
+
+
+def _holds(feet: np.ndarray, turns: np.ndarray, normal: np.ndarray) -> bool:
+    """Whether feet at (F, 3) m from the centre of mass have it between them while those of any turn (F,) swing."""
+    level = np.linalg.svd(normal[None])[2][1]
+    angles = np.arctan2(feet @ np.cross(normal, level), feet @ level)
+    for turn in np.unique(turns):
+        around = np.sort(angles[turns != turn])
+        if len(around) < 3 or np.diff(around, append=around[0] + 2.0 * np.pi).max() > WIDEST:
+            return False
+    return True
 
 
 def feet_of(mechanism: Mechanism, x: np.ndarray) -> list[Foot]:

@@ -1,0 +1,70 @@
+"""What a gait chooses: steps of its integrator, where a foot always stands; cycles, where feet hold the machine."""
+
+import math
+
+import numpy as np
+import pytest
+from test_walking_gaits import WALKING, free, loaded, straight  # noqa: F401 (a fixture)
+
+import planner
+from planner.problem.tasks.gait import STRIDE, TURNS, Gait, _holds, gait_of
+from planner.problem.tasks.legs import height_of, standing_feet
+
+
+@pytest.mark.parametrize(
+    ("gait", "stands"),
+    [
+        ("trot", True), ("walk", True), ({"kind": "pace", "duty": 0.5}, True), ({"kind": "trot", "duty": 0.4}, False),
+        ({"feet": {"a": 0.0, "b": 0.4}}, True), ({"feet": {"a": 0.0, "b": 0.4}, "duty": 0.55}, False),
+        ({"feet": {"a": 0.0, "b": 0.0}}, False),
+        ([{"until": 0.5, "stand": ["a", "b"]}, {"stand": ["a"]}], True),
+        ([{"until": 0.5, "stand": ["a", "b"]}, {"stand": []}], False),
+    ],
+)  # fmt: skip
+def test_whether_a_foot_stands_at_all_times(gait, stands):
+    assert gait_of(gait).always_stands is stands
+
+
+def test_gaits_that_always_stand_take_leapfrog_steps(tmp_path):
+    def steps(more):
+        dynamics = loaded(tmp_path, WALKING + more).dynamics
+        return dynamics.integrator, dynamics.substeps
+
+    assert steps('gait = "trot"\n') == ("leapfrog", 3)  # of 3.3 ms: 0.4 of the lead, 9.5 ms
+    assert steps('gait = "trot"\ndt = 0.005\n') == ("leapfrog", 2)
+    assert steps('gait = { kind = "trot", duty = 0.45 }\n') == ("rk4", 6)  # it flies, and lands
+    assert steps('gait = "trot"\nintegrator = "rk4"\n') == ("rk4", 6)
+    assert steps('gait = "trot"\nsubsteps = 6\n') == ("rk4", 6)
+    assert steps("") == ("rk4", 6)
+    problem = loaded(tmp_path, WALKING + 'gait = "trot"\n')
+    back = planner.load_plan(planner.solve(problem, max_iterations=1).save(tmp_path / "plan.npz"))
+    assert (back.problem.dynamics.integrator, back.problem.dynamics.substeps) == ("leapfrog", 3)
+
+
+# m from the centre of mass: two rows of three feet, and two of two
+SIX = np.array([[x, y, -0.1] for y in (0.15, -0.15) for x in (0.12, 0.0, -0.12)])
+FOUR = SIX[[0, 2, 3, 5]]
+
+
+@pytest.mark.parametrize(
+    ("feet", "turns", "holds"),
+    [
+        (SIX, [0.0, 0.5, 0.0, 0.5, 0.0, 0.5], True),  # two tripods
+        (SIX, [0.0, 0.0, 0.0, 0.5, 0.5, 0.5], False),  # one side after the other
+        (FOUR, TURNS["trot"], False),
+        (FOUR, TURNS["walk"], False),  # the centre of mass is on the edge of three feet
+        (FOUR + np.array([0.3, 0.0, 0.0]), [0.0, 0.25, 0.5, 0.75], False),  # behind all of them
+    ],
+)
+def test_three_feet_around_the_centre_of_mass_hold_it(feet, turns, holds):
+    assert _holds(feet, np.array(turns), np.array([0.0, 0.0, 1.0])) == holds
+
+
+def test_a_machine_that_feet_hold_at_all_times_takes_as_few_cycles_as_its_way_needs(straight, monkeypatch):
+    """0.4 m by half of the height of the centre of mass a cycle; else a cycle would last twice sqrt(h / g)."""
+    mechanism, rows, dt = straight
+    fall = Gait("trot").motion(mechanism, rows, dt, free(mechanism))[1]
+    monkeypatch.setattr("planner.problem.tasks.gait._holds", lambda *_: True)
+    held = Gait("trot").motion(mechanism, rows, dt, free(mechanism))[1]
+    h = height_of(mechanism, rows[0], standing_feet(mechanism, rows[0]))
+    assert int(held.split()[1]) == min(int(fall.split()[1]), math.ceil(0.4 / (STRIDE * h)))
