@@ -212,9 +212,9 @@ def of_table(table: dict[str, Any], twin: Twin | None, found: Mapping[str, np.nd
 def load_problem(path: str | Path) -> Problem:
     """The problem of a problem.toml: of a machine of one's own, or of a case that the file names.
 
-    Its starts, seed and durations, the times of phases that it leaves free and the number of its cycles are for
-    `planner run`, and for load(path).solved(); give the first three to solve or solve_for yourself. The name of a
-    problem file of the package, e.g. "quadrotor", stands for it.
+    Its starts and seed, the times of phases that it leaves free and the number of its cycles are for `planner run`, and
+    for load(path).solved(); give the first two to solve or solve_for yourself. The name of a problem file of the
+    package, e.g. "quadrotor", stands for it.
 
     Raises:
         PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.
