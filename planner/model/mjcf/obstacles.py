@@ -51,7 +51,7 @@ class Obstacle:
     Attributes:
         shape: One of SIZES.
         size: m: the edges of a box, the radius of a sphere, radius and length of a capsule or cylinder (along z).
-        position: (3,) m in the world, of its centre; of a mesh, of its file's origin. 0 by default, of these and planes.
+        position: (3,) m in the world, of its centre; of a mesh, of its file's origin; 0 for these and planes.
         orientation: Quaternion, w first, or a table of roll, pitch and yaw in degrees. A plane's normal is its z.
         name: Of the geom; by default obstacle, numbered if there are several.
         file: STL, OBJ, DAE or GLB of a mesh.
