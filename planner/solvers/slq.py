@@ -140,7 +140,7 @@ def solve(
             f"rank is {short_repr(rank)}, expected a function of a Plan, e.g. planner.proof.proven_cost."
         )
     if seeks_duration(problem) and warm_start is None and problem.periodic is None:  # a cycle's duration is fixed
-        from planner.solvers.free_time import solve_for  # local: it is made of solves
+        from planner import solve_for  # at first use, since it is made of solves
 
         given: dict[str, Any] = {"states": states, "rank": rank, "executor": executor, "budget": budget}
         return solve_for(problem, callback=callback, options=own, **given)

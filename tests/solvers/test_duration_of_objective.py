@@ -62,7 +62,7 @@ def test_only_a_duration_that_was_chosen_is_called_optimal():
 def test_a_command_searches_once(tmp_path, monkeypatch):
     """What it solves first, so that nothing is compiled in the measured time, is of the given duration."""
     searched = []
-    monkeypatch.setattr("planner.solvers.free_time.solve_for", lambda *_, **__: searched.append("by solve()"))
+    monkeypatch.setattr(planner, "solve_for", lambda *_, **__: searched.append("by solve()"))
     words = ["--horizon", "20", "--objective", "effort=1,time=20", "--durations", "0.8,1.2"]
     main(["solve", "two-link", *words, "--out", str(tmp_path / "plan.npz"), "--quiet"])
     assert "tried" in load_plan(tmp_path / "plan.npz").options
