@@ -21,7 +21,7 @@ from planner.cli.console import Console
 from planner.cli.flags import PROBLEM_FILE
 from planner.problem.archive import plan_name
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import with_objective
+from planner.problem.objective import with_found_duration, with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem_parts import checked_durations, durations_or_default
 from planner.solvers.options import MAX_STARTS
@@ -108,7 +108,8 @@ def solved(
     iteration = problem.N * work_of_stage(problem)
     if iteration > LONG_ITERATION:  # or nothing is seen for that long, and nobody knows why
         console.write_progress(f"an iteration takes about {iteration:.1g} s")
-    solve(problem, hessian=arguments.hessian, max_iterations=1)  # compiles outside of the measured time
+    # compiles outside of the measured time
+    solve(with_found_duration(problem), hessian=arguments.hessian, max_iterations=1)
     several = f", {asked.starts} starts" if asked.starts > 1 else ""
     for note in asked.notes:
         console.write_progress(note)

@@ -176,7 +176,10 @@ class Limits:
         if len(wrong):
             n, a = map(int, wrong[0])
             given = f"{lower[n, a]:g} ... {upper[n, a]:g}"
-            raise PlannerError(f"control {a} is limited to {given}, expected a lower bound below the upper.")
+            raise PlannerError(
+                f"control {a} is limited to {given}, expected a lower bound below the upper: (lower, upper), each a "
+                "number or a row with one for each control."
+            )
         some = servos is not None or np.isfinite(lower).any() or np.isfinite(upper).any()
         return ControlBounds(lower, upper, servos) if some else None
 

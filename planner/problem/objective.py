@@ -6,7 +6,8 @@
     time      the duration, per s: constant here, varied by planner.solvers.free_time
 
 Running and final costs of the states are unchanged. Without an effort weight the effort has the weight EFFORT_SHARE,
-because controls without effect on the motion would otherwise be undetermined.
+because controls without effect on the motion would otherwise be undetermined; beside time alone its own, since time
+says nothing of the motions of one duration.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from planner.problem.costs.motors import SMOOTHING, EnergyCost
 from planner.problem.costs.terms import Quadratic, SumCost, Term, call_if_supported
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
-from planner.problem.problem_parts import Objective, weights_of
+from planner.problem.problem_parts import FOUND, Objective, weights_of
 
 EFFORT_SHARE = 0.01
 """Weight of the effort where an objective has none: relative to the problem's own."""
@@ -59,23 +60,26 @@ def rebuilt(problem: Problem, **changes: Any) -> Problem:
 
 
 def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Problem:
-    """The same task with another criterion, at its own duration.
+    """The same task with another criterion; with time in it solve() chooses the duration.
 
     Args:
         problem: With a TrackingCost, alone or in a sum with DriveCosts, FrameCosts and PenaltyCosts; an objective that
             it has is replaced.
         objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "jerk": 1e-3}; and
-            with energy its "smoothing", W (see EnergyCost), which solve_for takes from the plan of least effort.
+            with energy its "smoothing", W (see EnergyCost), which solve_for takes from the plan of least effort; and
+            with time whether its duration was found by a search (FOUND).
 
     Raises:
         PlannerError: An unknown name or a negative weight; a machine without actuators or joints to speak of.
     """
     given = dict(objective) if isinstance(objective, Mapping) else {}
-    smoothing = given.pop("smoothing", None)
-    weights = {"effort": EFFORT_SHARE} | weights_of(given or objective)
+    smoothing, found = given.pop("smoothing", None), bool(given.pop(FOUND, False))
+    weights = weights_of(given or objective)
+    if set(weights) != {"time"}:
+        weights = {"effort": EFFORT_SHARE} | weights
     problem = base_problem(problem)
-    base, dynamics = problem.cost, problem.dynamics
-    terms = [base if weights["effort"] == 1.0 else call_if_supported(base, "with_effort", weights["effort"])]
+    base, dynamics, effort = problem.cost, problem.dynamics, weights.get("effort", 1.0)
+    terms = [base if effort == 1.0 else call_if_supported(base, "with_effort", effort)]
     if "energy" in weights:
         terms.append(EnergyCost(dynamics, weights["energy"], SMOOTHING if smoothing is None else smoothing))
     if "jerk" in weights:
@@ -83,7 +87,20 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
     if "time" in weights:
         terms.append(TimeCost(problem.duration, weights["time"], space_of(dynamics)))
     cost = terms[0] if len(terms) == 1 else SumCost(*terms)
-    return replace(problem, cost=cost, objective=Objective(weights, base, smoothing if "energy" in weights else None))
+    own = Objective(weights, base, smoothing if "energy" in weights else None, found and "time" in weights)
+    return replace(problem, cost=cost, objective=own)
+
+
+def with_found_duration(problem: Problem) -> Problem:
+    """The problem, whose duration solve() keeps though its objective has time."""
+    own = problem.objective
+    return problem if own is None else replace(problem, objective=replace(own, duration_found="time" in own.weights))
+
+
+def seeks_duration(problem: Problem) -> bool:
+    """Whether the objective has time, and the problem's duration is not yet the best one."""
+    own = problem.objective
+    return own is not None and "time" in own.weights and not own.duration_found
 
 
 def _jerk(problem: Problem, weight: float) -> JerkCost:

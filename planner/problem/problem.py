@@ -134,6 +134,8 @@ class Problem(Built):
             have = getattr(self.cost, name, None)
             if have is not None and have != size:
                 hint = "; make it with space=dynamics.space" if space.ndx != nx and name in ("nx", "ndx") else ""
+                if name == "nu" and have == 1:  # of an effort that is a number
+                    hint = f"; make it with nu={nu}, or with an effort of {nu} numbers"
                 raise PlannerError(f"the cost is made for {name} = {have}, expected {asked} = {size}{hint}.")
         have = getattr(self.cost, "space", None)
         if have is not None and have != space:

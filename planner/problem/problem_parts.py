@@ -22,6 +22,7 @@ PROBLEM_FILE = "problem-file"  # the name of a problem.toml's recipe, whatever i
 ROUNDING = 1e-14  # quaternions that are normalized twice differ by as much
 STEPS = ("newton", "follow")
 OBJECTIVES = ("effort", "energy", "jerk", "time")
+FOUND = "duration_found"  # beside the weights of a stored objective
 MAX_STAGES = 100_000
 
 
@@ -86,16 +87,19 @@ class Objective:
         weights: Above 0, by names of OBJECTIVES: the arguments of with_objective, and the share of effort.
         base: The problem's cost before with_objective.
         smoothing: Of the energy, W; None for EnergyCost's own.
+        duration_found: Whether the problem's duration is what a search over durations found, for time.
     """
 
     weights: dict[str, float]
     base: Cost
     smoothing: float | None = None
+    duration_found: bool = False
 
     @property
     def stored(self) -> dict[str, float]:
-        """The weights, and the smoothing where there is one, for with_objective() of the same problem without them."""
-        return self.weights if self.smoothing is None else {**self.weights, "smoothing": self.smoothing}
+        """The weights, and what else there is, for with_objective() of the same problem without them."""
+        more = {} if self.smoothing is None else {"smoothing": self.smoothing}
+        return {**self.weights, **more, **({FOUND: True} if self.duration_found else {})}
 
 
 def weights_of(objective: Any) -> dict[str, float]:
@@ -145,7 +149,9 @@ def stages_of(duration: Any, dt: Any) -> tuple[float, int]:
         )
     N = round(duration / dt)
     if N < 1 or abs(N * dt - duration) > 1e-9 * duration:
-        near = max(N, 1) * dt
+        if dt > duration:
+            raise PlannerError(f"dt is {dt:g} s, longer than the duration of {duration:g} s, expected a part of it.")
+        near = N * dt
         raise PlannerError(f"duration is {duration:g} s, expected a whole number of stages of {dt:g} s, e.g. {near:g}.")
     return dt, N
 

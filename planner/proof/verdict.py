@@ -5,7 +5,8 @@ The headline states three results and the elements not tested:
     PASS (open-loop), planned without contacts of 1 pair (tested in your file); feasible, optimal, robust with its gains
 
 feasible: MuJoCo reproduces the plan and ends at its goal, in the mode in brackets. optimal: the solve converged, and no
-direction lowers the cost. Then what the plan may be used for:
+direction lowers the cost; "for its duration" where the objective has time, and no other duration was tried. Then what
+the plan may be used for:
 
     robust with its gains                           run it with its gains on the machine
     robust at its goals                             its gains bring it there; on the way it leaves its path's bound
@@ -28,6 +29,7 @@ from typing import Any
 from planner.base.gl import load_mujoco
 from planner.base.late_imports import Renderable
 from planner.base.measured import Measurement, Section, aligned, dicts_of, rows_of
+from planner.problem.objective import seeks_duration
 from planner.problem.progress import Status
 from planner.proof.consistency import STEP_ERROR
 from planner.proof.error_propagation import ErrorPropagation
@@ -141,11 +143,13 @@ class Proof(Renderable):
     def results(self) -> str:
         """Whether the plan is feasible, optimal and robust, in words."""
         unknown = " (curvature not checked)" if curvature_unknown(self.sections["optimality"].measured) else ""
+        plan = self.replay.plan
+        of_one = plan.problem is not None and seeks_duration(plan.problem) and "tried" not in plan.options
         words = [
             "feasible" if self.feasible else "not feasible",
-            f"optimal{unknown}" if self.optimal else "not optimal",
+            f"optimal{' for its duration' if of_one else ''}{unknown}" if self.optimal else "not optimal",
         ]
-        if "cut" in (options := self.replay.plan.options):
+        if "cut" in (options := plan.options):
             words.append(f"cut by its {options['cut']}")
         return ", ".join([*words, *filter(None, [self._grade_words])])
 

@@ -27,7 +27,7 @@ from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
 from planner.problem.costs.motors import EnergyCost
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import base_problem, with_objective
+from planner.problem.objective import base_problem, with_found_duration, with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import checked_durations, durations_or_default, weights_of
@@ -74,19 +74,20 @@ class DurationTrial(NamedTuple):
 
 
 def solve_for(
-    problem: Problem, objective: str | Mapping[str, float] = "effort", *, durations: Sequence[float] | None = None,
+    problem: Problem, objective: str | Mapping[str, float] | None = None, *, durations: Sequence[float] | None = None,
     tolerance: float = TOLERANCE, callback: Callable[[Any], object] | None = None, **options: Any,
 ) -> Plan:  # fmt: skip
-    """Optimize a problem with another objective than its own; with time in it also the duration.
+    """Optimize a problem for an objective, its own or another; with time in it also the duration.
 
     Objectives other than effort start from the controls of minimum effort; those of a problem file from the plan that
     it has without an objective, whose weights of velocities keep joints from swinging.
 
     Args:
         problem: The problem to solve; see with_objective.
-        objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "time": 2}. Time
-            alone needs limits of the controls, and meets the goal exactly.
-        durations: Lower and upper bound of the duration, s, with time only; by default a fifth and twice the problem's.
+        objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "time": 2}; by
+            default the problem's own, else effort. Time alone needs limits of the controls and meets the goal exactly.
+        durations: Lower and upper bound of the duration, s, with time only; by default those of the problem's file or
+            task(), else a fifth and twice the problem's.
         tolerance: Of the duration, relative.
         callback: As of solve; with time it is called with each DurationTrial.
         options: Of solve().
@@ -98,11 +99,13 @@ def solve_for(
         PlannerError: As with_objective and solve; durations not allowed or not two increasing ones; time alone
             without bounds of the controls.
     """
-    weights = weights_of(objective)
     if not isinstance(problem, Problem):
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
-    own = problem.N * problem.dynamics.dt
-    between = checked_durations(durations_or_default(durations, weights, own), weights)
+    if objective is None:
+        objective = "effort" if problem.objective is None else problem.objective.weights
+    weights = weights_of(objective)
+    own = problem.parameters.get("durations") if durations is None and "time" in weights else durations
+    between = checked_durations(durations_or_default(own, weights, problem.duration), weights)
     options["budget"] = budget_of(options.get("budget"))  # one for all solves
     number("tolerance", tolerance, greater_than=0.0)
     alone = set(weights) == {"time"}
@@ -178,8 +181,7 @@ def _smoothing(problem: Problem, weights: Mapping[str, float], usual: Plan) -> d
 
 def _without_objective(problem: Problem) -> Problem:
     """The problem without its objective; that of a file has its default weights again."""
-    recipe = problem.recipe
-    if recipe is None or recipe.build is None or recipe.parameters.get("objective") is None:
+    if (recipe := problem.recipe) is None or recipe.build is None or recipe.parameters.get("objective") is None:
         return base_problem(problem)
     return recipe.rebuilt(objective=None, durations=None, resolved=None)
 
@@ -308,9 +310,9 @@ class _DurationSearch:
         assert self.last is not None  # set by at()
         plan = self.last if self.best is None else self.plans[self.best[1]]
         assert plan.problem is not None
-        wanted = with_objective(plan.problem, self.weights | {"effort": self.rest.get("effort", 0.0)} | self.smoothing)
-        told = options | {"tried": [[line.duration, line.cost, line.violation] for line in self.tried]}
-        plan = replace(as_user_plan(wanted, plan), options=plan.options | told)
+        wanted = with_found_duration(with_objective(plan.problem, self.weights | self.smoothing))
+        tried = [[line.duration, line.cost, line.violation] for line in self.tried]
+        plan = replace(as_user_plan(wanted, plan), options=plan.options | options | {"tried": tried})
         budget = self.budget if self.is_cut and plan.converged else None
         if budget is None:
             return plan

@@ -37,7 +37,7 @@ from planner.model.space import space_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.goals import has_tolerances
 from planner.problem.initial_guess import Trajectory
-from planner.problem.objective import solver_problem
+from planner.problem.objective import seeks_duration, solver_problem
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import is_unresolved, stage_too_long
@@ -78,6 +78,9 @@ def solve(
 ) -> Plan:
     """Solve a trajectory optimization problem.
 
+    Where its objective has time, this is solve_for(problem): its duration is chosen by many solves. A plan's own
+    problem has its duration already, and with `warm_start` any keeps it.
+
     Args:
         problem: The problem to solve.
         options: Settings of the algorithm; None for the defaults. See SolverOptions for the meaning of each. The
@@ -91,7 +94,7 @@ def solve(
             problem's own guess.
         callback: Called with each Iteration, or for several starts with each Start as it ends, and with each
             RelaxationStep where a solve without success, or a slow one with contacts, is relaxed; print makes a table.
-            It may raise StopIteration to end the solve.
+            It may raise StopIteration to end the solve. Where the duration is chosen, called with each DurationTrial.
         rank: A function of a Plan: the start with the lowest value is returned. By default its cost; proof.proven_cost
             is its cost in MuJoCo. Non-finite values rank last.
         executor: Any concurrent.futures.Executor for the starts; by default threads. The plan is the same to the last
@@ -129,21 +132,26 @@ def solve(
         gradient_tolerance=gradient_tolerance, expected_reduction_tolerance=expected_reduction_tolerance,
         actual_reduction_tolerance=actual_reduction_tolerance, starts=starts, seed=seed, spread=spread,
     )  # fmt: skip
-    settings = own.for_problem(problem)
     checked_executor(executor)
-    asked, deadline = settings.max_iterations, None
-    work = budget_of(budget)
-    if work is not None:
-        deadline = work.deadline
-        most = work.iterations(problem, asked, settings.starts, is_in_numpy(problem, settings.rule))
-        settings = with_overrides(settings, max_iterations=most)
     if callback is not None and not callable(callback):
         raise PlannerError(f"callback is {short_repr(callback)}, expected a function of one line of progress.")
     if rank is not None and not callable(rank):
         raise PlannerError(
             f"rank is {short_repr(rank)}, expected a function of a Plan, e.g. planner.proof.proven_cost."
         )
+    if seeks_duration(problem) and warm_start is None and problem.periodic is None:  # a cycle's duration is fixed
+        from planner import solve_for  # at first use, since it is made of solves
 
+        given: dict[str, Any] = {"states": states, "rank": rank, "executor": executor, "budget": budget}
+        return solve_for(problem, callback=callback, options=own, **given)
+
+    settings = own.for_problem(problem)
+    asked, deadline = settings.max_iterations, None
+    work = budget_of(budget)
+    if work is not None:
+        deadline = work.deadline
+        most = work.iterations(problem, asked, settings.starts, is_in_numpy(problem, settings.rule))
+        settings = with_overrides(settings, max_iterations=most)
     whole = with_overrides(settings, max_iterations=asked)
     beside = penalties = None
     if warm_start is not None:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planner.base.errors import FileError
 from planner.base.files import printable
 from planner.cases import CASES
 from planner.model.capabilities import capabilities_of
@@ -66,7 +67,7 @@ def stored_model(plan: Plan, folder: Path, model: str | Path | None = None, acce
         accepted: Digest of a changed model that the user has accepted.
 
     Raises:
-        PlannerError: The file given cannot be read, or MuJoCo refuses it.
+        PlannerError: The file given cannot be read, or MuJoCo refuses it; the one that lay with the plan is gone.
     """
     twin = plan.twin
     if twin is None:
@@ -85,7 +86,8 @@ def stored_model(plan: Plan, folder: Path, model: str | Path | None = None, acce
             where = f"{printable(os.path.relpath(file, folder))} is outside of the plan's folder"
             return StoredModel(ModelState.UNREAD, (f"{where}, expected --model FILE",))
         if model is None and not os.path.isfile(file):
-            return StoredModel(ModelState.UNREAD, (f"{printable(Path(file).name)} is absent, expected --model FILE",))
+            name = printable(os.path.relpath(file, folder))
+            raise FileError(f"its model {name} is not there any more, expected it beside the plan, or --model FILE.")
         text, files = read_again(twin.origin, file)
         name = printable(Path(file).name)
     changes, digest = model_changes(twin.given, text, twin.assets, files), model_digest(text, files)

@@ -26,7 +26,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file import ProblemFile, case_in, loaded
 from planner.cases.problem_file.keys import KEYS
 from planner.problem.limits import Limits
-from planner.problem.objective import with_objective
+from planner.problem.objective import with_found_duration, with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof import prove
@@ -171,7 +171,8 @@ def warm(work: Work) -> None:
     if callable(work.source):
         return
     with suppress(Exception), np.errstate(all="ignore"):  # an error of the first task is in its row
-        solve(work.problem(0).problem, hessian=work.options.get("hessian", "gauss-newton"), max_iterations=1)
+        first = with_found_duration(work.problem(0).problem)
+        solve(first, hessian=work.options.get("hessian", "gauss-newton"), max_iterations=1)
 
 
 def check_buildable(work: Work) -> None:

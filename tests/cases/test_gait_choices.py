@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from test_walking_gaits import WALKING, free, loaded, straight  # noqa: F401 (a fixture)
+from test_walking_gaits import WALKING, free, loaded
+from test_walking_gaits import straight as straight  # a fixture
 
 import planner
 from planner.problem.tasks.gait import STRIDE, TURNS, Gait, _holds, gait_of

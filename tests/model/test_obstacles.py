@@ -28,6 +28,7 @@ URDF = f"""<robot name="arm"><link name="base"/><link name="upper">{LINK}</link>
   <joint name="elbow" type="revolute"><origin xyz="0.3 0 0"/><parent link="upper"/><child link="lower"/>
     <axis xyz="0 1 0"/>
     <limit lower="-2.5" upper="2.5" effort="20" velocity="5"/></joint></robot>"""
+AT = [0.3, 0.3, 0.3]
 POST = {"shape": "box", "size": [0.1, 0.1, 0.6], "position": [0.3, 0.3, 0.3], "name": "post"}
 CUBE = """solid s
 facet normal 0 0 1
@@ -175,15 +176,16 @@ def test_an_obstacle_may_carry_a_machine():
         ({"shape": "box", "size": [1.0, 2.0]}, ("size of obstacle 'box' is [1.0, 2.0]", "edges, m: [0.1, 0.2, 0.3].")),
         ({"shape": "sphere"}, ("size of obstacle 'sphere' is None", "radius")),
         ({"shape": "sphere", "size": -1.0}, ("is -1.0", "above 0")),
+        ({"shape": "box", "size": [1.0, 1.0, 1.0]}, ("obstacle 'box' has no key 'position'", "position = [")),
         ({"shape": "plane", "size": 1.0}, ("expected none",)),
         ({"shape": "sphere", "size": 0.1, "at": [0, 0, 0]}, ("a key of obstacle is 'at'", "position")),
         ({"shape": "sphere", "size": 0.1, "position": [0, 0]}, ("position of an obstacle has shape (2,)",)),
         ({"shape": "sphere", "size": 0.1, "orientation": [0, 0, 0, 0]}, ("length zero",)),
-        ({"shape": "sphere", "size": 0.1, "name": "fist"}, ("'fist', which the model has",)),
+        ({"shape": "sphere", "size": 0.1, "position": AT, "name": "fist"}, ("'fist', which the model has",)),
         ({"shape": "mesh"}, ("expected the path of a mesh",)),
         ({"shape": "mesh", "file": "none.stl"}, ("the mesh", "none.stl")),
         ({"shape": "sphere", "size": 0.1, "file": "x.stl"}, ("none elsewhere",)),
-        ([{"shape": "sphere", "size": 0.1, "name": "a"}] * 2, ("'a' twice",)),
+        ([{"shape": "sphere", "size": 0.1, "position": AT, "name": "a"}] * 2, ("'a' twice",)),
         (3.0, ("obstacle is 3.0", "a table")),
     ],
     ids=str,

@@ -249,7 +249,7 @@ def test_limits_of_the_hopper():
 @pytest.mark.parametrize(
     ("limits", "words"),
     [
-        ({"control": (1.0, -1.0)}, "lower bound below the upper"),
+        ({"control": (1.0, -1.0)}, r"lower bound below the upper: \(lower, upper\), each a number or a row"),
         ({"control": (np.nan, 1.0)}, "not a number"),
         ({"control": {"wrist": 1.0}}, "Did you mean|expected one of"),
         ({"control": "modle"}, "Did you mean 'model'"),

@@ -218,6 +218,7 @@ def test_weights_and_shares():
     problem = arm(20)
     assert with_objective(problem, "effort").cost is problem.cost
     assert with_objective(problem, "jerk").objective.weights == {"effort": EFFORT_SHARE, "jerk": 1.0}
+    assert with_objective(problem, "time").objective.weights == {"time": 1.0}  # whose motion is that of least effort
     changed = with_objective(with_objective(problem, "jerk"), {"effort": 2.0})
     np.testing.assert_array_equal(changed.cost.R, 2.0 * problem.cost.R)
 

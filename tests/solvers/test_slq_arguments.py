@@ -164,6 +164,10 @@ class NoHorizon:
         ({"requirements": {}}, "requirements is {}, expected Requirements or None."),
         ({"cost": flight(0).cost}, "the cost is made for nx = 3, expected dynamics.nx = 2."),
         ({"cost": linear(0, nx=2, nu=2).cost}, "the cost is made for nu = 2, expected dynamics.nu = 1."),
+        (
+            {"dynamics": linear(0, nx=2, nu=2).dynamics, "us": None, "cost": linear(0, nx=2, nu=1).cost},
+            "the cost is made for nu = 1, expected dynamics.nu = 2; make it with nu=2, or with an effort of 2 numbers.",
+        ),
         ({"cost": NoHorizon()}, "the problem has no horizon, expected horizon=N or first controls us (N, nu)."),
     ],
 )

@@ -53,7 +53,7 @@ def test_what_cannot_be_compared(folder, tmp_path, monkeypatch):
     prove = planner.prove
     monkeypatch.setattr(regression, "prove", lambda plan, **asked: prove(plan, **{"rollouts": 0} | asked))
     (folder / "arm.xml").rename(tmp_path / "arm.xml")
-    fails("arm.xml is absent", folder / "plan.npz")
+    fails("arm.xml is not there any more", folder / "plan.npz")
     assert holds(folder / "plan.npz", tmp_path / "arm.xml").passed
     fails("is a folder, expected one plan.npz", folder)
     fails("does not exist", folder / "none.npz")

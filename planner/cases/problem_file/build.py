@@ -212,9 +212,9 @@ def of_table(table: dict[str, Any], twin: Twin | None, found: Mapping[str, np.nd
 def load_problem(path: str | Path) -> Problem:
     """The problem of a problem.toml: of a machine of one's own, or of a case that the file names.
 
-    Its starts, seed and durations, the times of phases that it leaves free and the number of its cycles are for
-    `planner run`, and for load(path).solved(); give the first three to solve or solve_for yourself. The name of a
-    problem file of the package, e.g. "quadrotor", stands for it.
+    Its starts and seed, the times of phases that it leaves free and the number of its cycles are for `planner run`, and
+    for load(path).solved(); give the first two to solve or solve_for yourself. The name of a problem file of the
+    package, e.g. "quadrotor", stands for it.
 
     Raises:
         PlannerError: The file cannot be read, a key is unknown, missing or wrong, or the model cannot be used.
@@ -316,7 +316,8 @@ def _built(
         reasons["goal"] = "goal names no joint, so that the machine is to end where it starts."
     if left_out := _left_out(mechanism):
         reasons["model"] = f"The model is read without {', '.join(left_out)}."
-    reasons |= {key: " ".join(of) for key, of in dict(closed=closed, settle=notes.values(), stops=stops).items() if of}
+    said = {"closed": closed, "settle": notes.values(), "stops": stops}
+    reasons |= {key: " ".join(each) for key, each in said.items() if each}
     limits = Limits.from_dict(table["limits"]) if table.get("limits") else None
     avoid = Avoid(**table["avoid"]) if "avoid" in table else None
     asked = constraints_of(table.get("constraint", []))

@@ -51,7 +51,7 @@ class Obstacle:
     Attributes:
         shape: One of SIZES.
         size: m: the edges of a box, the radius of a sphere, radius and length of a capsule or cylinder (along z).
-        position: (3,) m in the world, of its centre; of a mesh, of its file's origin.
+        position: (3,) m in the world, of its centre; of a mesh, of its file's origin; 0 for these and planes.
         orientation: Quaternion, w first, or a table of roll, pitch and yaw in degrees. A plane's normal is its z.
         name: Of the geom; by default obstacle, numbered if there are several.
         file: STL, OBJ, DAE or GLB of a mesh.
@@ -63,7 +63,7 @@ class Obstacle:
 
     shape: str
     size: Any = None
-    position: Any = (0.0, 0.0, 0.0)
+    position: Any = None
     orientation: Any = (1.0, 0.0, 0.0, 0.0)
     name: str = ""
     file: str | Path | None = None
@@ -78,8 +78,8 @@ class Obstacle:
                 f"file of obstacle {self.shape!r} is {short_repr(self.file)}, expected the path of a mesh where the "
                 "shape is 'mesh', and none elsewhere."
             )
-        array("position of an obstacle", self.position, (3,))
-        _ = self.half_sizes, self.scales, quaternion("orientation of an obstacle", self.orientation)
+        quaternion("orientation of an obstacle", self.orientation)
+        _ = self.half_sizes, self.scales, self.place
 
     @property
     def half_sizes(self) -> np.ndarray:
@@ -88,6 +88,16 @@ class Obstacle:
         if len(given) != count:
             raise PlannerError(f"size of obstacle {self.shape!r} is {short_repr(self.size)}, expected {words}.")
         return given * (0.5 if self.shape == "box" else np.array([1.0, 0.5])[:count])
+
+    @property
+    def place(self) -> np.ndarray:
+        """(3,) the position, m."""
+        if self.position is None and self.shape not in ("plane", "mesh"):
+            raise PlannerError(
+                f"obstacle {self.shape!r} has no key 'position', expected that of its centre, m: "
+                "position = [0.4, 0, 0.5]."
+            )
+        return array("position of an obstacle", (0.0, 0.0, 0.0) if self.position is None else self.position, (3,))
 
     @property
     def scales(self) -> np.ndarray:
@@ -143,7 +153,7 @@ def with_obstacles(file: ModelFile, given: Sequence[Obstacle]) -> ModelFile:
         if one.name in [geom.name for geom in map(model.geom, range(model.ngeom))] or stored in files:
             raise PlannerError(f"name of an obstacle is {one.name!r}, which the model has: expected another name.")
         attributes = {"name": one.name, "type": one.shape, **{key: str(bits) for key, bits in masks.items()}, **_PLAIN}
-        attributes["pos"] = written(*array("position", one.position, (3,)))
+        attributes["pos"] = written(*one.place)
         attributes["quat"] = written(*quaternion("orientation", one.orientation))
         if one.shape == "mesh":
             files[stored] = _hull_of(one)
