@@ -151,7 +151,7 @@ def _resolved(run_of: Callable[[int], _Run], goal: Any, tolerance: Any, moving: 
 
 
 def _planned(run: _Run, goal: Any, tolerance: Any, moving: bool) -> Plan | None:
-    """The plan; its cost refers to the recorded states, which weigh nothing but at a goal. None if states are infinite."""
+    """The plan, whose cost refers to the recorded states, without weight but at a goal; None if states are infinite."""
     dynamics, reference, xs, us, K = run
     if not np.isfinite(xs).all():
         return None
