@@ -104,7 +104,7 @@ def test_how_much_stiffer_an_equality_is_to_be_depends_on_what_it_lets_go(tmp_pa
     plan = planner.solve(planner.load_problem(tmp_path / "problem.toml"))
     proof = planner.prove(plan, rollouts=0)
 
-    def times(rate, step=5e-4, **failed):
+    def times(rate, failed, step=5e-4):
         found = [Measurement(name, *values) for name, values in failed.items()]
         found += [Measurement(EQUALITY_RATE, rate, "rad/s", None), Measurement(TIMESTEP, step, "s", None)]
         judged = replace(proof, sections=proof.sections | {"your_file": Section("your file", tuple(found))})
@@ -115,9 +115,9 @@ def test_how_much_stiffer_an_equality_is_to_be_depends_on_what_it_lets_go(tmp_pa
         {"replayed_angular_velocity_miss": (0.4, "rad/s", 0.1)},
         {"largest_angle_error": (0.04, "rad", 0.01)},
     )
-    assert times(50.0, **angle) == [pytest.approx(0.02 / 8.0**0.5)]
-    assert times(50.0, **angle, **velocity) == [pytest.approx(0.02 / 8.0)]
+    assert times(50.0, angle) == [pytest.approx(0.02 / 8.0**0.5)]
+    assert times(50.0, angle | velocity) == [pytest.approx(0.02 / 8.0)]
     path = {"largest_angular_velocity_error": (0.4, "rad/s", 50.0 * 0.01 * 0.1)}  # a bound that rises with the rate
-    assert times(50.0, **path) == [pytest.approx(0.02 / 16.0**0.5)]
-    assert times(50.0, step=2e-3, **velocity) == [pytest.approx(4e-3)]  # MuJoCo takes none below two steps
-    assert times(1e8, **velocity) == []  # as a URDF's mimic is written: no spring, something else is the cause
+    assert times(50.0, path) == [pytest.approx(0.02 / 16.0**0.5)]
+    assert times(50.0, velocity, step=2e-3) == [pytest.approx(4e-3)]  # MuJoCo takes none below two steps
+    assert times(1e8, velocity) == []  # as a URDF's mimic is written: no spring, something else is the cause
