@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from serving import Answer, timed
@@ -29,5 +30,5 @@ class Iteration:
         self._solver.tryStep(1.0)
 
     def times(self, repeats: int, seconds: float) -> Answer:
-        """Times of single iterations."""
-        return {"times": timed(self.once, self.rewind, repeats, seconds)}
+        """Processor times of single iterations, as the benchmarks take of ours."""
+        return {"times": timed(self.once, self.rewind, repeats, seconds, time.process_time)}

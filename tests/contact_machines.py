@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
-from trees import CHAINS, Body, mujoco, tree_xml
+from gradients import assert_step_derivatives_near_kinks
+from trees import CHAINS, Body, mujoco, relative_error, tree_xml
 
+from planner.dynamics import RigidBodyDynamics, product_of_exponentials
+from planner.dynamics.contacts import generalized_forces
 from planner.model.contact.laws import ContactLaw
 from planner.model.mjcf.contacts import contact_attributes, stop_attributes
 
@@ -145,3 +148,17 @@ def moved(m, q, direction):
     """q moved along the group by direction (nv,)."""
     x = np.concatenate([q, np.zeros(m.nv + m.na)])
     return m.space.integrate(x[None], np.concatenate([direction, np.zeros(m.nv + m.na)])[None])[0, : m.nq]
+
+
+def assert_contacts_act(bare, m, x, us):
+    """Accelerations of `bare` dynamics with the contacts of m beside NumPy's, and the derivatives of an Euler step."""
+    q, qd, rates = x[: m.nq], x[m.nq : m.nq + m.nv], slice(m.nv, 2 * m.nv)
+    dynamics, free = RigidBodyDynamics(m, 1.0, "euler", bare.prescribed), np.ones(m.nv, dtype=bool)
+    for name in bare.prescribed:
+        free[m.joint(name)] = False
+    # M_ff dqdd_f = tau_f: what the contacts' forces add to the accelerations
+    M, tau, more = product_of_exponentials.mass_matrix(m, q), generalized_forces(m, q, qd), np.zeros(m.nv)
+    more[free] = np.linalg.solve(M[np.ix_(free, free)], tau[free])
+    acceleration, without = (one.rates(x[None], us)[0, rates] for one in (dynamics, bare))
+    assert relative_error(acceleration, without + more) < 1e-9
+    assert_step_derivatives_near_kinks(dynamics, x, us)

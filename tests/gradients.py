@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from planner.model.space import space_of
+
 
 def spd(rng, n):
     root = rng.normal(size=(n, n))
@@ -44,18 +46,48 @@ def hessian(cost, space, xs, us, n, h=1e-4):
     return H
 
 
-def assert_step_derivatives(dynamics, x, u):
-    """A and B of one stage from x (nx,) with u (nu,) against central differences of its end, through integrate."""
-    space, h = dynamics.space, 1e-6
-    A, B = (part[0] for part in dynamics.linearize(np.stack([x, x]), u[None]))
-    end = dynamics.step(x[None], u[None])[0]
+def step_derivatives(dynamics, xs, us, h=1e-6):
+    """A (K, ndx, ndx) and B (K, ndx, nu) of stages from xs (K, nx), us (K, nu): central differences of their ends."""
+    space, ends = space_of(dynamics), dynamics.step(xs, us)
 
     def slope(dx, du):
-        ahead, back = (dynamics.step(space.integrate(x, s * dx)[None], (u + s * du)[None])[0] for s in (h, -h))
-        return (space.difference(ahead, end) - space.difference(back, end)) / (2.0 * h)
+        sides = [dynamics.step(space.integrate(xs, np.tile(s * dx, (len(xs), 1))), us + s * du) for s in (h, -h)]
+        ahead, back = (space.difference(side, ends) for side in sides)
+        return (ahead - back) / (2.0 * h)
 
-    by_x = np.stack([slope(e, np.zeros(dynamics.nu)) for e in np.eye(space.ndx)], axis=1)
-    by_u = np.stack([slope(np.zeros(space.ndx), e) for e in np.eye(dynamics.nu)], axis=1)
-    # central differences: h^2 of the third derivatives and rounding over h, both about 1e-10 of entries of size 1
-    np.testing.assert_allclose(A, by_x, atol=1e-7 * np.abs(A).max())
-    np.testing.assert_allclose(B, by_u, atol=1e-7 * max(1.0, np.abs(B).max()))
+    by_x = np.stack([slope(e, np.zeros(dynamics.nu)) for e in np.eye(space.ndx)], axis=2)
+    return by_x, np.stack([slope(np.zeros(space.ndx), e) for e in np.eye(dynamics.nu)], axis=2)
+
+
+def assert_step_derivatives(dynamics, xs, us, h=1e-6, within=1e-7):
+    """A and B of stages from a state or several with as many controls, `within` the largest entry of each stage.
+
+    Central differences err by h^2 times the third derivatives and by rounding over h, both about 1e-10 at 1e-6.
+    """
+    xs, us = np.atleast_2d(xs), np.atleast_2d(us)
+    found = dynamics.linearize(np.concatenate([xs, xs[-1:]]), us)
+    for least, exact, differenced in zip((0.0, 1.0), found, step_derivatives(dynamics, xs, us, h), strict=True):
+        scale = np.maximum(least, np.abs(exact).max(axis=(1, 2), keepdims=True))
+        np.testing.assert_array_less(np.abs(exact - differenced) / scale, within)
+
+
+def assert_step_derivatives_near_kinks(dynamics, xs, us, h=1e-7, within=1e-6):
+    """The same where forces may have kinks: differences at h and h / 2 tell their own error, which is small mostly."""
+    xs, us = np.atleast_2d(xs), np.atleast_2d(us)
+    found = dynamics.linearize(np.concatenate([xs, xs[-1:]]), us)
+    both = (step_derivatives(dynamics, xs, us, size) for size in (h, 0.5 * h))
+    for exact, far, near in zip(found, *both, strict=True):
+        size, apart = max(1.0, np.abs(exact).max()), np.abs(near - far)
+        np.testing.assert_array_less(np.abs(exact - near), within * size + 2.0 * apart)
+        assert np.median(apart) < within * size
+
+
+def second_order_differences(dynamics, xs, us, costates, h=1e-5):
+    """T (N, nx+nu, nx+nu) in z = (x, u), by central differences of A and B: h^2 and 1e-16 / h are equal at 1e-5."""
+    nx = xs.shape[1]
+
+    def gradient(dz):
+        A, B = dynamics.linearize(xs + dz[:nx], us + dz[nx:])
+        return np.einsum("nij,ni->nj", np.concatenate([A, B], axis=2), costates[1:])
+
+    return np.stack([(gradient(dz) - gradient(-dz)) / (2.0 * h) for dz in h * np.eye(nx + us.shape[1])], axis=1)

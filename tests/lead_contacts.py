@@ -30,7 +30,7 @@ def accelerations(mechanism, q, v, tau):
             law = place.contact.law
             J = np.vstack([place.J[0], turning(place)])
             x = np.append(place.v[0], J[3:] @ v) + law.lead * (J @ a)
-            f, _, by_x = contact_wrench(law, place.n, place.e, x[None, :3], x[None, 3:])
+            f, by_x = contact_wrench(law, place.n, place.e, x[None, :3], x[None, 3:])
             r -= J.T @ f[0]
             H -= law.lead * J.T @ by_x[0] @ J
         return r, H

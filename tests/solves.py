@@ -71,6 +71,12 @@ def pendulum(x, u):
     return np.stack([x[..., 1], u[..., 0] - 9.81 * np.sin(x[..., 0])], axis=-1)
 
 
+def pendulum_jacobian(x, u, gravity=9.81):
+    fx, fu = np.zeros((len(x), 2, 2)), np.zeros((len(x), 2, 1))
+    fx[:, 0, 1], fx[:, 1, 0], fu[:, 1, 0] = 1.0, -gravity * np.cos(x[:, 0]), 1.0
+    return fx, fu
+
+
 def swing(integrator="rk4", N=20):
     """A pendulum to its upright position, for the NumPy engine."""
     dynamics = FunctionDynamics(pendulum, 2, 1, 0.075, integrator)
@@ -112,6 +118,11 @@ def rollout(problem, us, K=None, xs=None, x0=None):
     return np.array(states), np.array(controls)
 
 
+def first_rollout(problem):
+    """States (N+1, nx) of the first guess."""
+    return rollout(problem, problem.first_guess)[0]
+
+
 def sweep_along(problem, plan):
     A, B = problem.dynamics.linearize(plan.xs, plan.us)
     model = problem.cost.quadratize(plan.xs, plan.us)
@@ -138,6 +149,26 @@ def assert_consistent(problem, plan):
     np.testing.assert_array_equal(plan.t, problem.dynamics.dt * np.arange(problem.N + 1))
 
 
+def kkt_solution(A, B, m, gaps):
+    """The whole quadratic program at once, dx(n+1) = A dx + B du + gap from dx(0) = 0: over all dx(1..N), du(0..N-1).
+
+    Returns dxs (N+1, nx), dus (N, nu), the multipliers (N, nx) of the dynamics and the least value.
+    """
+    N, nx, nu = B.shape
+    H, g = block_diag(*m.R, *m.Q[1:]), np.concatenate([m.r.ravel(), m.q[1:].ravel()])
+    C = np.zeros((N * nx, len(g)))  # A dx(n) + B du(n) - dx(n+1) = -gap
+    for n in range(N):
+        rows = slice(n * nx, (n + 1) * nx)
+        C[rows, n * nu : (n + 1) * nu] = B[n]
+        C[rows, N * nu + n * nx : N * nu + (n + 1) * nx] = -np.eye(nx)
+        if n > 0:
+            C[rows, N * nu + (n - 1) * nx : N * nu + n * nx] = A[n]
+    kkt = np.block([[H, C.T], [C, np.zeros((N * nx, N * nx))]])
+    z, multipliers = np.split(np.linalg.solve(kkt, -np.concatenate([g, gaps.ravel()])), [len(g)])
+    dxs = np.vstack([np.zeros(nx), z[N * nu :].reshape(N, nx)])
+    return dxs, z[: N * nu].reshape(N, nu), multipliers.reshape(N, nx), 0.5 * z @ H @ z + g @ z
+
+
 def same_bits(a, b):
     for name in ("t", "xs", "us", "K"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
@@ -145,19 +176,23 @@ def same_bits(a, b):
     assert (a.cost, a.gradient_norm, a.status) == (b.cost, b.gradient_norm, b.status)
 
 
+def reduced_hessian(A, B, model):
+    """Of the LQ problem by its controls, (N nu, N nu), with the states as functions of them."""
+    (N, ndx, nu), H = B.shape, block_diag(*model.R)
+    by_u = np.zeros((ndx, N * nu))
+    for n in range(N):
+        by_u = A[n] @ by_u
+        by_u[:, n * nu : (n + 1) * nu] += B[n]
+        H += by_u.T @ model.Q[n + 1] @ by_u
+    return H
+
+
 def assert_stationary(problem, plan):
     """Eq. 20 as far as the documented criteria carry it: a gradient of at most 1e-8, or a promised decrease
     1/2 g'H^-1 g of at most 1e-10 max(1, J), which bounds the gradient by the model's Hessian H."""
     A, B, model, _ = sweep_along(problem, plan)
-    gradient = np.linalg.norm(lq.gradient(A, B, model))
-    N, nx, nu = B.shape
-    S, H = np.zeros((nx, N * nu)), block_diag(*model.R)  # S = dx(n) / dU
-    for n in range(N):
-        S = A[n] @ S
-        S[:, n * nu : (n + 1) * nu] += B[n]
-        H += S.T @ model.Q[n + 1] @ S
-    scale = max(1.0, plan.cost)
-    largest = np.linalg.eigvalsh(H)[-1]
+    gradient, scale = np.linalg.norm(lq.gradient(A, B, model)), max(1.0, plan.cost)
+    largest = np.linalg.eigvalsh(reduced_hessian(A, B, model))[-1]
     assert gradient <= max(1e-8, np.sqrt(2.0 * 1e-10 * scale * largest)) * (1.0 + 1e-6)
     last = plan.history[-1]
     assert last.gradient_norm <= 1e-8 or last.expected <= 1e-10 * scale

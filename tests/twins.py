@@ -1,10 +1,9 @@
 """The kernels of a machine's passive forces beside the readable twin of its dynamics."""
 
 import numpy as np
+from trees import stepped
 
 from planner.dynamics import algorithms, product_of_exponentials
-from planner.model.mechanism import SCREW
-from planner.model.space import product
 from planner.proof.compare.rigid_parity import random_states
 
 
@@ -22,10 +21,5 @@ def assert_kernels_are_their_twin(m):
         for j, e in enumerate(np.eye(m.nv)):
             by_qd = product_of_exponentials.rnea(m, q[k], qd[k] + 1e-30j * e, qdd[k]).imag / 1e-30
             assert np.abs(by_qd - derivatives.qd[k, :, j]).max() < 1e-12 * np.abs(derivatives.qd[k]).max()
-            moved = q[k].astype(complex)
-            for i in np.flatnonzero(m.kind == SCREW):
-                moved[m.q_address[i]] += 1e-30j * e[i]
-            for a, i in m.quaternions:
-                moved[a : a + 4] += 1e-30j * product(q[k, a : a + 4], np.array([0.0, *(0.5 * e[i : i + 3])]))
-            by_q = product_of_exponentials.rnea(m, moved, qd[k], qdd[k]).imag / 1e-30
+            by_q = product_of_exponentials.rnea(m, stepped(m, q[k], e, 1e-30j), qd[k], qdd[k]).imag / 1e-30
             assert np.abs(by_q - derivatives.q[k, :, j]).max() < 1e-12 * np.abs(derivatives.q[k]).max()

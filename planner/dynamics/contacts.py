@@ -30,7 +30,6 @@ from planner.model.mechanism import Mechanism
 from planner.model.passive_forces import exponential_joint_torques
 
 _MIN_BEND = 1e-9  # so that no number is divided by 0
-_Sloped = tuple[np.ndarray, np.ndarray]  # a value and its derivative by the penetration
 
 
 class ContactForces(NamedTuple):
@@ -63,7 +62,7 @@ def contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     depths = e - np.array([one.law.surface_offset for one in contacts])
     forces = np.zeros_like(points)
     for k in np.flatnonzero((e > 0.0).any(axis=0)):  # skip contacts that are open at every state
-        forces[:, k] = _force(PlaneContactKinematics(at, contacts[k], qd))[0]
+        forces[:, k] = _force(PlaneContactKinematics(at, contacts[k], qd))
     return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
 
 
@@ -95,7 +94,7 @@ def body_contact_forces(mechanism: Mechanism, q: Any, qd: Any) -> ContactForces:
     points, depths, forces = np.zeros((K, n, 3)), np.zeros((K, n)), np.zeros((K, n, 3))
     for k, place in enumerate(places):
         points[:, k], depths[:, k] = place.p, place.e - place.contact.law.surface_offset
-        forces[:, k] = _force(place)[0]
+        forces[:, k] = _force(place)
     return ContactForces(*(value[0] if single else value for value in (points, depths, forces)))
 
 
@@ -122,10 +121,10 @@ def generalized_forces(mechanism: Mechanism, q: Any, qd: Any) -> np.ndarray:
     q, qd, single = _states(mechanism, q, qd)
     tau = exponential_joint_torques(mechanism, q)
     for place in _places(mechanism, q, qd):
-        tau += np.einsum("kaj,ka->kj", place.J, _force(place)[0])
+        tau += np.einsum("kaj,ka->kj", place.J, _force(place))
     for stop in mechanism.stops:
         e, opening = stop_state(mechanism, stop, q, qd)
-        tau[:, stop.dof] -= stop.side * unilateral_force(stop.law, e, opening)[0]
+        tau[:, stop.dof] -= stop.side * unilateral_force(stop.law, e, opening)
     return tau[0] if single else tau
 
 
@@ -170,50 +169,32 @@ def smoothstep(e: np.ndarray, a: float) -> tuple[np.ndarray, np.ndarray]:
     return t**2 * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t) / a
 
 
-def _unclamped_force(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force K ramp(e) - B s(e) v_n, which may be negative, and its derivatives by e and v_n."""
-    (r, dr), (s, ds) = ramp(e, law.ramp), smoothstep(e, law.ramp)
-    return (
-        law.stiffness * r - law.damping * s * opening,
-        law.stiffness * dr - law.damping * ds * opening,
-        -law.damping * s,
-    )
-
-
-def unilateral_force(law: Law, e: np.ndarray, opening: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nonnegative normal force of the law, N or N m, and its derivatives by penetration e and opening velocity v_n.
+def unilateral_force(law: Law, e: np.ndarray, opening: np.ndarray) -> np.ndarray:
+    """Nonnegative normal force of the law, N or N m, at penetration e and opening velocity v_n.
 
     Of a law with a lead v_n is the velocity a lead later.
     """
-    if law.lead > 0.0:
-        (spring, by_e), (damping, damping_e) = _spring_and_damper(law, e)
-        g, by_e, by_opening = spring - damping * opening, by_e - damping_e * opening, -damping
-    else:
-        g, by_e, by_opening = _unclamped_force(law, e, opening)
-    force, slope = ramp(g, float(law.force_ramp or 0.0))
-    return force, slope * by_e, slope * by_opening
+    spring, damping = _spring_and_damper(law, e)
+    return ramp(spring - damping * opening, float(law.force_ramp or 0.0))[0]
 
 
-def _force(place: PlaneContactKinematics | BodyContactKinematics) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Contact force (K, 3), N, and its derivatives by penetration (K, 3) and relative velocity (K, 3, 3)."""
+def _force(place: PlaneContactKinematics | BodyContactKinematics) -> np.ndarray:
+    """Contact force (K, 3), N."""
     return contact_force(place.contact.law, place.n, place.e, place.v)
 
 
-def _spring_and_damper(law: Law, e: np.ndarray) -> tuple[_Sloped, _Sloped]:
-    """Force of the spring and damping of a law with a lead, each (K,) with its derivative by the penetration."""
-    (depth, t), (s, ds) = ramp(e, law.ramp), smoothstep(e, 0.5 * law.ramp)
-    (d, dd), last = law.impedance_at(e - 0.5 * law.ramp), law.impedance[1]
-    scale = (1.0 - last) / last
-    w, dw = scale * d / (1.0 - d), scale * dd / (1.0 - d) ** 2
-    w, dw, K = s * w, ds * w + s * dw, law.stiffness / last
-    spring = K * d * w * depth, K * (dd * w * depth + d * dw * depth + d * w * t)
-    return spring, (law.damping * w, law.damping * dw)
+def _spring_and_damper(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Force (K,) of the spring and damping (K,) at penetrations: K ramp(e) and B s(e) without a lead."""
+    depth, _ = ramp(e, law.ramp)
+    if not law.lead > 0.0:
+        return law.stiffness * depth, law.damping * smoothstep(e, law.ramp)[0]
+    d, last = law.impedance_at(e - 0.5 * law.ramp), law.impedance[1]
+    w = smoothstep(e, 0.5 * law.ramp)[0] * ((1.0 - last) / last * d / (1.0 - d))
+    return law.stiffness / last * d * w * depth, law.damping * w
 
 
-def contact_force(
-    law: ContactLaw, n: np.ndarray, e: np.ndarray, v: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Contact force (K, 3), N, and its derivatives by penetration (K, 3) and velocity (K, 3, 3).
+def contact_force(law: ContactLaw, n: np.ndarray, e: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Contact force (K, 3), N.
 
     Args:
         law: Parameters of the contact law.
@@ -224,38 +205,21 @@ def contact_force(
     """
     n = np.broadcast_to(n, v.shape)
     if law.lead > 0.0:
-        f, by_e, by_v = contact_wrench(law, n, e, v, np.zeros_like(v))
-        return f[:, :3], by_e[:, :3], by_v[:, :3, :3]
+        return contact_wrench(law, n, e, v, np.zeros_like(v))[0][:, :3]
     mu, across = law.friction, np.eye(3) - n[:, :, None] * n[:, None]
     opening, vt = np.einsum("ka,ka->k", v, n), np.einsum("ka,kab->kb", v, across)
     speed = np.linalg.norm(vt, axis=1)
     d = vt / np.where(speed > 0.0, speed, 1.0)[:, None]  # direction of sliding
-    s, ds = smoothstep(e, law.ramp)
-    c, dc = law.slip_damping * s, law.slip_damping * ds
-    slip = c * speed
-    g, g_e, g_n = _unclamped_force(law, e, opening)
-    # gradients with respect to (e, v) of the slip force, the normal force and friction
-    e_axis = np.array([1.0, 0.0, 0.0, 0.0])
-    dslip = (dc * speed)[:, None] * e_axis + np.hstack([np.zeros_like(e)[:, None], c[:, None] * d])
-    dg = g_e[:, None] * e_axis + np.hstack([np.zeros_like(e)[:, None], g_n[:, None] * n])
-    slips = slip > mu * g
+    slip = law.slip_damping * smoothstep(e, law.ramp)[0] * speed
+    spring, damping = _spring_and_damper(law, e)
+    g = spring - damping * opening
     share = 1.0 / (1.0 + mu**2 / law.impratio)
-    h = np.where(slips, share * (g + mu * slip / law.impratio), g)
-    dh = np.where(slips[:, None], share * (dg + mu / law.impratio * dslip), dg)
-    normal, slope = ramp(h, float(law.force_ramp or 0.0))
-    dnormal = slope[:, None] * dh
-    limit, dlimit = mu * normal, mu * dnormal
-    bend = law.bend
+    h = np.where(slip > mu * g, share * (g + mu * slip / law.impratio), g)
+    normal, _ = ramp(h, float(law.force_ramp or 0.0))
+    limit, bend = mu * normal, law.bend
     t = ramp(slip - (1.0 - bend) * limit, 2.0 * bend * limit)[1]
-    by_limit = t * (1.0 - bend + bend * t)
-    friction = (1.0 - t) * slip + by_limit * limit  # slip - ramp(...), without cancellation
-    dfriction = (1.0 - t)[:, None] * dslip + by_limit[:, None] * dlimit
-    force = normal[:, None] * n - friction[:, None] * d
-    turning = np.where(speed > 0.0, friction / np.where(speed > 0.0, speed, 1.0), np.where(limit > 0.0, c, 0.0))
-    by = dnormal[:, None, :] * n[:, :, None] - dfriction[:, None, :] * d[:, :, None]  # (K, 3, 4)
-    along = across - d[:, :, None] * d[:, None, :]  # derivative of the direction d, except at zero speed
-    by[:, :, 1:] -= turning[:, None, None] * along
-    return force, by[:, :, 0], by[:, :, 1:]
+    friction = (1.0 - t) * slip + t * (1.0 - bend + bend * t) * limit  # slip - ramp(...), without cancellation
+    return normal[:, None] * n - friction[:, None] * d
 
 
 def _contact_frames(n: np.ndarray) -> np.ndarray:
@@ -277,8 +241,8 @@ def _edges(law: ContactLaw, n: np.ndarray) -> np.ndarray:
 
 def contact_wrench(
     law: ContactLaw, n: np.ndarray, e: np.ndarray, v: np.ndarray, w: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force and torque (K, 6) of a law with a lead, N and N m, and derivatives by e (K, 6) and (v, w) (K, 6, 6).
+) -> tuple[np.ndarray, np.ndarray]:
+    """Force and torque (K, 6) of a law with a lead, N and N m, and derivatives by (v, w) (K, 6, 6).
 
     Args:
         law: With a lead.
@@ -287,7 +251,7 @@ def contact_wrench(
         v: (K, 3) m/s, the velocity relative to the surface a lead later.
         w: (K, 3) rad/s, the angular velocity a lead later.
     """
-    (k, dk), (b, db) = _spring_and_damper(law, e)
+    k, b = _spring_and_damper(law, e)
     x, across = np.hstack([v, w]), n[:, :, None] * n[:, None]
     if law.is_round:
         root, N = np.sqrt(law.impratio), np.hstack([n, np.zeros_like(n)])
@@ -297,17 +261,13 @@ def contact_wrench(
         W[:, 3:, 3:] = root * (roll * np.eye(3) + (spin - roll) * across)
         Wx = np.einsum("kab,kb->ka", W, x)
         g, slope = _projection(law.friction / root, law.bend, N, k[:, None] * N - b[:, None] * Wx)
-        by = W @ slope
-        by_e = np.einsum("kab,kb->ka", by, dk[:, None] * N - db[:, None] * Wx)
-        return np.einsum("kab,kb->ka", W, g), by_e, -b[:, None, None] * (by @ W)
+        return np.einsum("kab,kb->ka", W, g), -b[:, None, None] * (W @ slope @ W)
     d, share, f = _edges(law, n), 1.0 / law.edges, float(law.force_ramp or 0.0)
     along = np.einsum("kea,ka->ke", d, x)
     y = share * (k[:, None] - b[:, None] * along)
     slope = np.clip(y / f, 0.0, 1.0) if f > 0.0 else (y > 0.0).astype(float)
-    force = slope * (y - 0.5 * f * slope)
-    by_e = slope * share * (dk[:, None] - db[:, None] * along)
     by_x = -b[:, None, None] * np.einsum("ke,kea,keb->kab", share * slope, d, d)
-    return np.einsum("ke,kea->ka", force, d), np.einsum("ke,kea->ka", by_e, d), by_x
+    return np.einsum("ke,kea->ka", slope * (y - 0.5 * f * slope), d), by_x
 
 
 def _projection(mu: float, bend: float, n: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

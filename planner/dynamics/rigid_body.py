@@ -12,7 +12,7 @@ import numpy as np
 from planner.base.arguments import array, choice, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics.second_thread import SolveMemory
-from planner.kernels.integrators import KNOWN_INTEGRATORS, ROSENBROCK, SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import KNOWN_INTEGRATORS, LEAPFROG, ROSENBROCK, SEMI_IMPLICIT_EULER
 from planner.kernels.lq.workspace import Workspace
 from planner.kernels.numba.lanes import padded
 from planner.kernels.precompile import announce_named, variant
@@ -26,7 +26,7 @@ from planner.kernels.tree.residuals.evaluate import quadratize_residuals
 from planner.kernels.tree.residuals.table import ResidualTable
 from planner.model.capabilities import Capabilities
 from planner.model.mechanism import Mechanism
-from planner.model.passive_forces import damped_implicitly
+from planner.model.passive_forces import damped_implicitly, damped_later
 from planner.model.space import StateSpace
 
 MAX_SUBSTEPS = 16  # largest number in a stage; shorter stages should replace more
@@ -39,18 +39,19 @@ class RigidBodyDynamics:
     Args:
         mechanism: The machine.
         dt: Length of a stage, s.
-        integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler), "rk4", or with implicit
-            damping, for damping too stiff for RK4, "rosenbrock", of second order (kernels.tree.rosenbrock), and
-            "implicitfast", of first order, MuJoCo's, for damping of single joints.
+        integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler), "rk4", "leapfrog", of second
+            order with one evaluation a step (kernels.tree.leapfrog), or with implicit damping, for damping too stiff
+            for RK4, "rosenbrock", of second order (kernels.tree.rosenbrock), and "implicitfast", of first order,
+            MuJoCo's, for damping of single joints.
         prescribed: Names of joints whose accelerations are inputs (the paper's Cases 2 and 3); their actuators have
             no effect.
-        substeps: Equal integration steps of a stage, 1 to 16, of "rk4" and "rosenbrock", for stability (see
+        substeps: Equal integration steps of a stage, 1 to 16, of "rk4", "leapfrog" and "rosenbrock", for stability (see
             planner.dynamics.step_stability). The control is constant over all of them.
 
     Raises:
         PlannerError: dt is not positive, the integrator or a joint is unknown, there is no control, an Euler integrator
-            or "implicitfast" has substeps, a prescribed joint is coupled, "rosenbrock" with closed chains, or
-            "implicitfast" with damping that couples joints.
+            or "implicitfast" has substeps, a prescribed joint is coupled, "rosenbrock" or "leapfrog" with closed
+            chains, or "implicitfast" or "leapfrog" with damping that couples joints.
     """
 
     def __init__(
@@ -64,8 +65,8 @@ class RigidBodyDynamics:
         self.integrator = choice("integrator", integrator, KNOWN_INTEGRATORS)
         self.substeps = count("substeps", substeps, maximum=MAX_SUBSTEPS)
         known = KNOWN_INTEGRATORS[self.integrator]
-        if self.substeps > 1 and not known.lengths:
-            able = " or ".join(f'"{name}"' for name, one in KNOWN_INTEGRATORS.items() if one.lengths)
+        if self.substeps > 1 and not known.has_substeps:
+            able = " or ".join(f'"{name}"' for name, one in KNOWN_INTEGRATORS.items() if one.has_substeps)
             raise PlannerError(
                 f"substeps is {self.substeps} and the integrator {self.integrator!r}, expected integrator = "
                 f"{able}, or substeps = 1."
@@ -76,7 +77,7 @@ class RigidBodyDynamics:
         self.space: StateSpace = mechanism.space
         self.nx, self.ndx = self.space.nx, self.space.ndx
         self._one_stage = np.full(1, self.dt)
-        self._known, self._heavier = known, known.implicit and known.form != ROSENBROCK
+        self._known, self._heavier = known, (known.implicit and known.form != ROSENBROCK) or known.form == LEAPFROG
         self._make_tables()
         self.nu = self._model.nu
         if self.nu == 0:
@@ -100,11 +101,11 @@ class RigidBodyDynamics:
                     f"{coupling.name} couples {names} and one of them is prescribed, expected prescribed joints that "
                     "no equality couples."
                 )
-        implicit = self._known.form == ROSENBROCK
+        implicit = self._known.form in (ROSENBROCK, LEAPFROG)
         if implicit and self.mechanism.has_closed_chains:
             raise PlannerError(
-                'the integrator "rosenbrock" keeps no closed chains and this machine has some, expected "rk4", or less '
-                "damping."
+                f'the integrator "{self.integrator}" keeps no closed chains and this machine has some, expected "rk4", '
+                "or less damping."
             )
         self._driven, self._steps = driven, local()
         self._model = self._model_of(self.dt)
@@ -112,7 +113,11 @@ class RigidBodyDynamics:
 
     def _model_of(self, h: float) -> Model:
         """The kernel table for steps of h s."""
-        machine = damped_implicitly(self.mechanism, h) if self._heavier else self.mechanism
+        machine = self.mechanism
+        if self._known.form == LEAPFROG:
+            machine = damped_later(machine, 0.5 * h / self.substeps)
+        elif self._heavier:
+            machine = damped_implicitly(machine, h)
         return Model(machine, self._driven, implicit=self._known.form == ROSENBROCK)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -266,7 +271,7 @@ class RigidBodyDynamics:
         m, of = self.mechanism, "has no second derivatives of"
         refusals = (
             (self.substeps > 1, f"{of} substeps and a stage has {self.substeps}"),
-            (self._known.form == ROSENBROCK, f'{of} the integrator "{self.integrator}"'),
+            (self._known.form in (ROSENBROCK, LEAPFROG), f'{of} the integrator "{self.integrator}"'),
             (self.space.quaternions, "is for machines of hinges and slides and this one has a ball or free joint"),
             (m.contacts or m.body_contacts or m.stops, f"{of} contacts and stops and this machine has some"),
             *((True, f"{of} coupled joints and this machine has {coupling.name}") for coupling in m.couplings),

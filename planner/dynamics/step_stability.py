@@ -28,7 +28,7 @@ from planner.dynamics.rigid_body import MAX_SUBSTEPS, RigidBodyDynamics
 from planner.model.contact.laws import Contact, Stop
 from planner.model.coordinates import coordinates_of_mechanism
 from planner.model.mechanism import Mechanism
-from planner.model.passive_forces import damped_implicitly
+from planner.model.passive_forces import damped_implicitly, damped_later
 
 # Target |lambda| h of a substep: RK4 then reproduces the decay exp(-0.7) to 0.3 %, so that a replay at finer steps
 # differs by a fraction of the tolerance. At 1 the error is 2 %; at 2 the decay is 0.33 instead of 0.14.
@@ -43,6 +43,7 @@ MAX_RATE_STEP = 2.0
 # Of the lead of a contact or a stop: a substep. Contacts begin and slip abruptly, so that steps as short as their rate
 # alone asks for, a third of this number, leave replays at finer steps centimetres off; shorter ones change little.
 LEAD_SHARE = 0.2
+LEAP_SHARE = 0.4  # the same of a step of "leapfrog", whose contacts feel the velocity of the middle of the step
 NEAR = 0.05  # of a range: a joint that starts or ends as close to a stop is likely to meet it
 IMPLICIT = 1e-3
 """Largest implicit_error for which damping is integrated implicitly, no unit: a tenth of the path tolerance."""
@@ -59,6 +60,7 @@ class FastestMode(NamedTuple):
     joint: str  # name of the coordinate or activation with the largest participation
     rate_to_resolve: float  # 1/s, the largest rate of what swings, touches or is near a stop
     swing: float = 0.0  # rad/s, of oscillations with a damping ratio below LASTING; 0 without any
+    lead: float = 0.0  # s, of the contact that asks for the shortest steps; 0: something else does
 
 
 def fastest_mode(
@@ -99,7 +101,7 @@ def fastest_mode(
         rate = TARGET_RATE_STEP / (LEAD_SHARE * one.law.lead) if one.law.lead > 0.0 else 0.0
         if rate > found.rate:
             name = one.name if isinstance(one, Contact) else mechanism.joint_of(one.dof)
-            found = found._replace(rate=rate, joint=name)
+            found = found._replace(rate=rate, joint=name, lead=one.law.lead if isinstance(one, Contact) else 0.0)
         found = found._replace(rate_to_resolve=max(found.rate_to_resolve, rate))
     return found
 
@@ -165,6 +167,19 @@ def substeps_of(found: FastestMode, dt: float) -> int:
     decay, swing = found.rate * dt, found.rate_to_resolve * dt / TARGET_RATE_STEP
     needed = max(swing, min(decay / TARGET_RATE_STEP, max(GONE / TARGET_RATE_STEP, decay / DECAY_RATE_STEP)))
     return min(max(math.ceil(needed - _ROUNDING), 1), MAX_SUBSTEPS)
+
+
+def leaps_of(mechanism: Mechanism, found: FastestMode, dt: float) -> int:
+    """Number of "leapfrog" substeps that a stage of dt s needs where contacts with a lead ask for the shortest steps.
+
+    0 where something else does, or where that method does not take the machine's damping.
+    """
+    try:
+        damped_later(mechanism, 0.0)
+    except PlannerError:
+        return 0
+    needed = math.ceil(dt / (LEAP_SHARE * found.lead) - _ROUNDING) if found.lead > 0.0 else 0
+    return needed if needed <= MAX_SUBSTEPS and not mechanism.has_closed_chains else 0
 
 
 def implicit_error(

@@ -15,8 +15,9 @@ import numpy as np
 INTEGRATORS = ("euler", "semi-implicit-euler", "rk4")
 """Of all dynamics: explicit Euler (the paper's), velocities first then positions with the new ones, classic
 Runge-Kutta; the control is held over a stage. Rigid bodies have all of KNOWN_INTEGRATORS."""
-EULER, SEMI_IMPLICIT_EULER, RUNGE_KUTTA, ROSENBROCK = range(4)
-"""Forms of a step; the last is of second order and takes damping implicitly (kernels.tree.rosenbrock)."""
+EULER, SEMI_IMPLICIT_EULER, RUNGE_KUTTA, ROSENBROCK, LEAPFROG = range(5)
+"""Forms of a step; the last two are of second order, and take damping implicitly (kernels.tree.rosenbrock) or as it is
+in the middle of the step (kernels.tree.leapfrog)."""
 MAX_STAGES = 4
 SHARE, MIDDLE, TURNED, END_TURNED, LENGTHS = range(5)
 """Offsets in Integrator.numbers; the lengths are the last, with 0 for the first stage."""
@@ -33,9 +34,9 @@ class Integrator(NamedTuple):
     form: int = RUNGE_KUTTA
     evaluations: int = 4  # of the dynamics in a step, for a budget of work; a factorization counts as one
     mujoco: str = ""  # MuJoCo's method that is the same; "" where it has none
-    implicit: bool = False  # whether it takes damping implicitly
+    implicit: bool = False  # whether it takes damping implicitly that is too fast for its steps
     finer: str = "rk4"  # the one to take where this is too coarse; itself: shorter stages
-    lengths: tuple[float, ...] = ()  # of the stages behind the first, shares of the step; none: no substeps
+    lengths: tuple[float, ...] = ()  # of the stages behind the first, shares of the step
     middle: float = 1.0  # weight of the rates between the first and the last, which weigh 1
     turned: tuple[float, float] = (0.0, 0.0)  # h^2 times it: of v1 x v2 in stage 3, and of v1 x v_last in the end
 
@@ -43,6 +44,11 @@ class Integrator(NamedTuple):
     def stages(self) -> int:
         """Evaluations of accelerations in a step."""
         return len(self.lengths) + 1
+
+    @property
+    def has_substeps(self) -> bool:
+        """Whether a stage may have several steps."""
+        return self.form in (RUNGE_KUTTA, ROSENBROCK, LEAPFROG)
 
     @property
     def weights(self) -> tuple[float, ...]:
@@ -61,6 +67,7 @@ KNOWN_INTEGRATORS = {
     "euler": Integrator(1, EULER, 1),
     "semi-implicit-euler": Integrator(1, SEMI_IMPLICIT_EULER, 1, "EULER"),
     "rk4": Integrator(4, RUNGE_KUTTA, 4, "RK4", lengths=(0.5, 0.5, 1.0), middle=2.0, turned=(1.0 / 8.0, 1.0 / 12.0)),
+    "leapfrog": Integrator(2, LEAPFROG, 1),
     "rosenbrock": Integrator(2, ROSENBROCK, 4, implicit=True, finer="rosenbrock", lengths=(1.0,)),
     "implicitfast": Integrator(1, SEMI_IMPLICIT_EULER, 1, "IMPLICITFAST", implicit=True, finer="rosenbrock"),
 }

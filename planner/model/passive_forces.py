@@ -248,7 +248,28 @@ def damped_implicitly(mechanism: Any, h: float) -> Any:
         why = f"has an actuator, {mechanism.actuators.names[law.actuator]!r}, with a damping that depends on the state"
     if why:
         raise PlannerError(
-            f'the integrator "implicitfast" takes damping of single joints and this machine {why}, expected '
-            '"rosenbrock", or "rk4".'
+            f'the integrators "implicitfast" and "leapfrog" take damping of single joints and this machine {why}, '
+            'expected "rosenbrock", or "rk4".'
         )
     return replace(mechanism, armature=mechanism.armature + h * own)
+
+
+def damped_later(mechanism: Any, delay: float) -> Any:
+    """The mechanism whose damping, friction loss and laws with a lead feel the velocity that comes `delay` s later.
+
+    That is v + delay a: armatures become heavier, as of damped_implicitly, leads longer by it, and friction loss, of
+    x = inertia / loss (a + rate v), gets another inertia and rate.
+
+    Raises:
+        PlannerError: As of damped_implicitly.
+    """
+    later, parts = 1.0 + delay * mechanism.friction_rate, {}
+    for name in ("contacts", "body_contacts", "stops"):
+        parts[name] = tuple(
+            replace(one, law=replace(one.law, lead=one.law.lead + delay)) if one.law.lead > 0.0 else one
+            for one in getattr(mechanism, name)
+        )
+    return replace(
+        damped_implicitly(mechanism, delay), friction_inertia=mechanism.friction_inertia * later,
+        friction_rate=mechanism.friction_rate / later, **parts,
+    )  # fmt: skip

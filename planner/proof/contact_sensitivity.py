@@ -14,22 +14,21 @@ load: there the step does not apply.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from planner.base.data_files import finite
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
 from planner.dynamics import kinematics
-from planner.model.mechanism import Mechanism
+from planner.model.capabilities import capabilities_of
 from planner.problem.plan import Plan
-from planner.proof.compare.rigid_parity import turns
+from planner.proof.error_scales import by_unit
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.replays.replaying import Replay, replay_in
+from planner.proof.replays.replaying import Replay, problem_of, replay_in
 from planner.proof.robustness.rollouts import MODES
 
 TITLE = "contact sensitivity"
@@ -66,62 +65,40 @@ class ContactVariant:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class GroundTable:
-    """Replays of a plan by contact parameters and mode, one row each, or the reason why there are none."""
-
-    rows: tuple[ContactVariant, ...] = ()
-    not_applicable: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """The rows as JSON values, or the reason why there are none."""
-        if self.not_applicable:
-            return {"applicable": False, "reason": self.not_applicable}
-        return {"applicable": True, "rows": [finite(asdict(row)) for row in self.rows]}
-
-    @property
-    def section(self) -> Section:
-        """The rows as measured values without bounds."""
-        if self.not_applicable:
-            return Section(TITLE, not_applicable=self.not_applicable)
-        return Section(TITLE, tuple(one for row in self.rows for one in _measured(row)))
-
-
-def contact_sensitivity(
-    plan: Plan, compiled: CompiledTwin, *, units: Iterable[str] | None = None,
-    runs: Mapping[str, Replay] | None = None, replay: Callable[..., Replay] = replay_in,
-) -> Section:  # fmt: skip
-    """Replay a plan with other contact parameters, open loop and with its gains; arguments as of ground_table()."""
-    return ground_table(plan, compiled, units=units, runs=runs, replay=replay).section
-
-
 @np.errstate(all="ignore")  # a trajectory may diverge
-def ground_table(
-    plan: Plan, compiled: CompiledTwin, *, units: Iterable[str] | None = None,
-    runs: Mapping[str, Replay] | None = None, replay: Callable[..., Replay] = replay_in,
-) -> GroundTable:  # fmt: skip
+def contact_sensitivity(
+    plan: Plan, compiled: CompiledTwin, runs: Mapping[str, Replay] | None = None,
+    replay: Callable[..., Replay] = replay_in,
+) -> Section:  # fmt: skip
     """Replay a plan with other contact parameters, open loop and with its gains.
 
     Args:
         plan: A plan of a problem with a twin.
         compiled: The model with the plan's own contact law.
-        units: (ndx,) of the components of a deviation; by default by the joints' kinds.
         runs: Replays in that model by mode, if already computed.
         replay: replay(compiled, plan, feedback=...) in a model.
     """
-
-    def run_in(changed: CompiledTwin) -> dict[str, Replay]:
-        return {mode: replay(changed, plan, feedback=mode == "feedback") for mode in MODES}
-
-    own = dict(runs) if runs is not None else run_in(compiled)
-    reason = _reason(compiled.model, own)
+    runs = _by_mode(plan, compiled, replay) if runs is None else runs
+    reason = _reason(compiled.model, runs)
     if reason:
-        return GroundTable(not_applicable=reason)
-    by_unit = _components(plan, units)
-    rows = [_row(PLAN, mode, run, by_unit) for mode, run in own.items()]
+        return Section(TITLE, not_applicable=reason)
+    variants = contact_variants(plan, compiled, runs, replay)
+    return Section(TITLE, tuple(one for variant in variants for one in _measured(variant)))
+
+
+def contact_variants(
+    plan: Plan, compiled: CompiledTwin, runs: Mapping[str, Replay], replay: Callable[..., Replay] = replay_in
+) -> Iterator[ContactVariant]:
+    """The errors of a plan's replays by contact parameters and mode; arguments as of contact_sensitivity()."""
+    for mode, run in runs.items():
+        yield _variant(PLAN, mode, run)
     for name, change in GROUNDS.items():
-        rows += [_row(name, mode, run, by_unit) for mode, run in run_in(compiled.changed(change)).items()]
-    return GroundTable(tuple(rows))
+        for mode, run in _by_mode(plan, compiled.changed(change), replay).items():
+            yield _variant(name, mode, run)
+
+
+def _by_mode(plan: Plan, compiled: CompiledTwin, replay: Callable[..., Replay]) -> dict[str, Replay]:
+    return {mode: replay(compiled, plan, feedback=mode == "feedback") for mode in MODES}
 
 
 def _reason(model: Any, runs: Mapping[str, Replay]) -> str:
@@ -152,30 +129,20 @@ def _touching(model: Any, run: Replay) -> set[int]:
     return found - {0}
 
 
-def _components(plan: Plan, units: Iterable[str] | None) -> dict[str, np.ndarray]:
-    """The components of a deviation by their unit."""
-    every = [""] * plan.K.shape[2] if units is None else list(units)
-    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
-    if units is None and isinstance(mechanism, Mechanism):
-        kinds = ["rad" if angle else "m" for angle in turns(mechanism)]
-        every = [*kinds, *(f"{kind}/s" for kind in kinds), *[""] * mechanism.na]
-    of = np.array(every)
-    return {unit: np.flatnonzero(of == unit) for unit in dict.fromkeys(every)}
-
-
-def _row(ground: str, mode: str, run: Replay, by_unit: dict[str, np.ndarray]) -> ContactVariant:
+def _variant(ground: str, mode: str, run: Replay) -> ContactVariant:
     error = np.nan_to_num(np.abs(run.error), nan=np.inf)  # infinite after divergence
+    which = {unit: components for _, unit, components, _ in by_unit(problem_of(run.plan))}
     return ContactVariant(
-        ground, mode, {unit: float(error[-1, which].max()) for unit, which in by_unit.items()},
-        {unit: float(error[:, which].max()) for unit, which in by_unit.items()},
+        ground, mode, {unit: float(error[-1, own].max()) for unit, own in which.items()},
+        {unit: float(error[:, own].max()) for unit, own in which.items()},
         _feet(run), float(np.nanmax(run.contact_force)), run.warnings,
     )  # fmt: skip
 
 
 def _feet(run: Replay) -> float:
     """Largest distance of the plan's contact spheres from their planned positions, m."""
-    mechanism = getattr(getattr(run.plan.problem, "dynamics", None), "mechanism", None)
-    if not isinstance(mechanism, Mechanism) or not mechanism.contacts:
+    mechanism = capabilities_of(problem_of(run.plan).dynamics).mechanism
+    if mechanism is None or not mechanism.contacts:
         return np.nan
     if not np.isfinite(run.xs).all():
         return np.inf
@@ -190,7 +157,7 @@ def _feet(run: Replay) -> float:
 
 
 def _measured(row: ContactVariant) -> Iterator[Measurement]:
-    """A row without its velocities, which the table has."""
+    """What is shown of a variant: all but its velocities."""
     note = " ".join((f"{row.ground}, {row.mode}; shown, not judged.", *row.warnings))
     ground, mode = (re.sub(r"\W+", "_", part) for part in (row.ground, row.mode))
     for where, errors in (("end", row.end), ("path", row.path)):

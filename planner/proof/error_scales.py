@@ -101,9 +101,13 @@ def _units(plan: Plan) -> np.ndarray:
     return np.array([one.unit for one in coordinates_of(plan.problem.dynamics)])
 
 
+def _mechanism_of(problem: Problem | None) -> Mechanism | None:
+    return None if problem is None else capabilities_of(problem.dynamics).mechanism
+
+
 def contact_penetration(problem: Problem | None) -> float:
     """Static penetration of a plan's machine on one contact, m; 0 without contacts."""
-    mechanism = getattr(getattr(problem, "dynamics", None), "mechanism", None)
+    mechanism = _mechanism_of(problem)
     if mechanism is None or not mechanism.contacts:
         return 0.0
     weight = float(mechanism.mass.sum() * np.linalg.norm(mechanism.gravity))
@@ -112,7 +116,7 @@ def contact_penetration(problem: Problem | None) -> float:
 
 def has_contacts(plan: Plan) -> bool:
     """Whether a plan's mechanism models contacts, or joint stops that the plan reaches."""
-    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+    mechanism = _mechanism_of(plan.problem)
     return mechanism is not None and bool(
         mechanism.contacts or mechanism.body_contacts or reaches_stops(mechanism, plan.xs)
     )
@@ -130,7 +134,7 @@ def is_path_judged(plan: Plan, unit: str) -> bool:
 
 def is_nonsmooth(plan: Plan) -> bool:
     """Whether contact or friction forces of a plan's mechanism are too steep for the LQ model."""
-    mechanism = getattr(getattr(plan.problem, "dynamics", None), "mechanism", None)
+    mechanism = _mechanism_of(plan.problem)
     return has_contacts(plan) or (mechanism is not None and bool(np.any(mechanism.friction_loss)))
 
 

@@ -22,7 +22,6 @@ from planner.base.arguments import count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.base.executors import checked_executor
 from planner.base.measured import Section, bound_excess
-from planner.model.coordinates import coordinates_of
 from planner.model.twin import Twin
 from planner.problem.goals import goals_of, unchecked_goals
 from planner.problem.plan import Plan
@@ -220,10 +219,9 @@ def with_informative_sections(proof: Proof, note: Callable[[str], object] = lamb
         note("the same with encoders")
         encoding = replace(sampling_of(plan), encoders=True)
         encoded = replay_in(compiled, plan, feedback=True, sampling=encoding, planned=planned, contacts=False)
-        units = [one.unit for one in coordinates_of(problem.dynamics)]
         note("contact sensitivity")
         as_judged = functools.partial(replay_in, sampling=sampling_of(plan), planned=planned)
-        ground = contact_sensitivity(plan, compiled, units=units, runs=runs, replay=as_judged)
+        ground = contact_sensitivity(plan, compiled, runs, as_judged)
     shown = {"controller": controller_section(rates, encoded), "another_ground": ground}
     return replace(proof, sections=proof.sections | shown)
 

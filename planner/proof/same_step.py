@@ -24,7 +24,14 @@ import numpy as np
 from planner.base.gl import load_mujoco
 from planner.base.measured import Measurement, Section
 from planner.dynamics.protocol import integrator_of
-from planner.kernels.integrators import KNOWN_INTEGRATORS, ROSENBROCK, RUNGE_KUTTA, SEMI_IMPLICIT_EULER, Integrator
+from planner.kernels.integrators import (
+    KNOWN_INTEGRATORS,
+    LEAPFROG,
+    ROSENBROCK,
+    RUNGE_KUTTA,
+    SEMI_IMPLICIT_EULER,
+    Integrator,
+)
 from planner.model.capabilities import capabilities_of
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
@@ -36,7 +43,7 @@ from planner.proof.compare.constrained import constrained_acceleration, steps_ba
 from planner.proof.error_scales import reaches_stops
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.passive_torque_callback import curves_acting
-from planner.proof.replays.simulation import damping_of, implicit_step, set_state, state_of
+from planner.proof.replays.simulation import implicit_step, set_state, stage_damping, state_of
 
 PATH_BOUND = 1e-8  # of the largest state
 STAGE_BOUND = 1e-10  # of the largest state: one stage does not amplify errors, rounding is 1e-14
@@ -77,7 +84,7 @@ def same_step(plan: Plan, problem: Problem, compiled: CompiledTwin) -> Section:
         machine.mechanism if machine.mechanism is not None and machine.mechanism.couplings else None
     )
     dt, driven = problem.dynamics.dt / substeps, prescribed_dofs_of(problem.dynamics)
-    damping = damping_of(problem.dynamics)
+    damping = stage_damping(problem.dynamics)
     found = stage_function(integrator, dt, model, twin, space, driven, constrained, damping)
     if found is None:
         return Section("same step", not_applicable="MuJoCo cannot take steps of the plan's integrator")
@@ -128,7 +135,7 @@ def stage_function(
 
     The model is changed. Accelerations of prescribed (`driven`) degrees of freedom, the last controls, are met to
     rounding. Equalities of a constrained mechanism are exact, and its other constraints do not act. `damping` (nv,) is
-    integrated implicitly. `exact` as of advancing().
+    what stage_damping says. `exact` as of advancing().
     """
     mujoco = load_mujoco()
     data = mujoco.MjData(model)
@@ -171,6 +178,13 @@ def stage_function(
         dx[: model.nv] += dt * dx[model.nv : 2 * model.nv]
         return integrate(x, dx)
 
+    def middle_first(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        half = 0.5 * dt * rates(x, u)
+        half[model.nv : 2 * model.nv] = 0.0
+        dx = dt * rates(integrate(x, half), u)
+        dx[: model.nv] += 0.5 * dt * dx[model.nv : 2 * model.nv]
+        return integrate(x, dx)
+
     known = KNOWN_INTEGRATORS.get(integrator)
     if known is None:
         return None
@@ -180,8 +194,9 @@ def stage_function(
     if native == "IMPLICITFAST" and floats_alone(model):
         native = ""
     if damping is not None and known.form != ROSENBROCK and not native:  # MuJoCo's step is of a heavier machine
-        model.dof_armature[:] += dt * damping
-        model.dof_M0[:] += dt * damping
+        delay = 0.5 * dt if known.form == LEAPFROG else dt
+        model.dof_armature[:] += delay * damping
+        model.dof_M0[:] += delay * damping
     if known.form == ROSENBROCK and damping is not None and not len(driven):
         own = None if constrained is None else functools.partial(constrained_acceleration, mechanism=constrained)
         move = implicit_step(model, dt, damping, acceleration=own)
@@ -199,6 +214,8 @@ def stage_function(
         return None
     if known.form == SEMI_IMPLICIT_EULER:
         return ACCELERATIONS, velocity_first
+    if known.form == LEAPFROG:
+        return ACCELERATIONS, middle_first
     return ACCELERATIONS, lambda x, u: munthe_kaas(rates, space, x, u, dt, integrate, known)
 
 

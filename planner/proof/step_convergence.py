@@ -26,7 +26,7 @@ from planner.proof.error_scales import COST_BOUND, judged_cost, reaches_stops, s
 from planner.proof.replays.contact_history import may_touch
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import Replay
-from planner.proof.replays.simulation import damping_of
+from planner.proof.replays.simulation import stage_damping
 from planner.proof.same_step import advancing
 
 ORDER_BOUND = 0.2  # largest amount by which the observed order may be below the nominal one, for a smooth machine
@@ -185,7 +185,7 @@ def _level(run: Replay, problem: Problem, integrator: str, substeps: int, exact:
     if integrator == "rk4" and substeps == run.substeps and sound:  # the refined replay itself, to the last bit
         xs = run.xs[::substeps]
         return xs[-1], problem.cost.value(xs, plan.us)
-    advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space, damping_of(problem.dynamics), exact)
+    advance = advancing(integrator, plan.dt / substeps, model, twin, plan.space, stage_damping(problem.dynamics), exact)
     assert advance is not None  # every integrator in KNOWN_INTEGRATORS is supported
     xs = np.empty_like(plan.xs)
     xs[0] = problem.x0

@@ -43,6 +43,7 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import lengthened, rounded_duration
 from planner.solvers.continuation import (
+    BETTER_SHARE,
     SMOOTHER,
     Continuation,
     DistantContacts,
@@ -191,7 +192,8 @@ class _Relaxation:
             plan = plan or self._by_smoother_friction(direct) or self._by_softer_contacts(direct)
         elif stopped or not meets_goals(direct):
             plan = self._by_other_guesses(direct)
-        if stopped and (plan is None or (has_softer(problem) and plan.cost >= direct.cost)):
+        worse = plan is None or (plan.cost >= direct.cost if has_softer(problem) else not meets_goals(plan))
+        if stopped and worse:
             spent = sum(step.iterations for step in self.steps if step.stage in ("direct", "resumed"))
             direct = self._resumed(direct, limit - spent)
         if plan is not None and (
@@ -223,11 +225,13 @@ class _Relaxation:
         return replace(direct, status=Status.INFEASIBLE)
 
     def _by_other_guesses(self, direct: Plan) -> Plan | None:
-        """The first plan that converges and meets the goals from another first guess.
+        """The plan of the first other guess that converges and meets the goals, else the cheapest, if better.
 
-        None also once two guesses lead to the same minimum: then the weights or the limits keep it off its goals.
+        Guesses end once two of them lead to the same minimum: then the weights or the limits keep it off its goals.
+        The one that was cut at the lowest cost goes on if none converges at less.
         """
         costs = [direct.cost] if direct.converged else []
+        ended, cut = list[Plan](), list[Plan]()
         for k, (stage, states, us) in enumerate(other_guesses(self.problem)):
             most = WorkBudget(GUESS_WORK / 2**k).iterations(self.problem, self.options.max_iterations)
             allowed = self._allowed(self.problem, max(most, Continuation.look_iterations))
@@ -235,10 +239,22 @@ class _Relaxation:
             if self._report(stage, 1.0, plan, plan.converged and not plan.missed_goals):
                 return plan
             again = plan.converged and any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in costs)
-            if again and not (stage == "held" and pair_clearance_of(self.problem.constraints)):
-                return None  # held before an obstacle it is on the same side of it
             costs += [plan.cost] if plan.converged else []
-        return None
+            ended += [plan] if plan.converged else []
+            cut += [plan] if plan.status is Status.MAX_ITERATIONS and self._is_better(plan, direct) else []
+            if again and not (stage == "held" and pair_clearance_of(self.problem.constraints)):
+                break  # held before an obstacle it is on the same side of it
+        best = min(ended, key=lambda plan: plan.cost, default=None)
+        first = min(cut, key=lambda plan: plan.cost, default=None)
+        if first is not None and (best is None or first.cost < best.cost):
+            plan = self._resumed(first, self.options.max_iterations - first.nit)
+            best = plan if best is None or meets_goals(plan) else best
+        return best if best is not None and self._is_better(best, direct) else None
+
+    def _is_better(self, plan: Plan, direct: Plan) -> bool:
+        """Whether a plan costs less than the direct one by BETTER_SHARE, or that one is outside of its limits."""
+        outside = direct.status is Status.OUTSIDE_LIMITS and plan.status is not Status.OUTSIDE_LIMITS
+        return outside or not plan.cost >= direct.cost - BETTER_SHARE * abs(direct.cost)
 
     def _distant(self) -> bool:
         """Whether objects are to be moved that nothing touches: no motion nearby reaches them."""

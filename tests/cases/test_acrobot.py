@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from solves import first_rollout
 
 import planner
 from planner.base.gl import load_mujoco
@@ -13,13 +14,6 @@ mujoco = load_mujoco()
 @pytest.fixture(scope="module", params=["paper", "hanging"])
 def plan(request):
     return planner.solve(planner.cases.acrobot(start=request.param))
-
-
-def rollout(problem):
-    xs = [problem.x0]
-    for u in problem.first_guess:
-        xs.append(problem.dynamics.step(xs[-1][None], u[None])[0])
-    return np.array(xs)
 
 
 def test_it_is_the_arm_of_case_1_without_the_shoulder_motor():
@@ -40,7 +34,7 @@ def test_starts_are_the_papers():
 def test_the_first_guess_falls_like_a_rigid_pendulum():
     """The paper held the elbow: the arm is then a rod of 1 kg and 2 m about its end."""
     problem = planner.cases.acrobot(horizon=1200)
-    xs = rollout(problem)
+    xs = first_rollout(problem)
     t = problem.dynamics.dt * np.arange(problem.N + 1)
     length, g = 2.0, 9.81
 
@@ -51,16 +45,16 @@ def test_the_first_guess_falls_like_a_rigid_pendulum():
     half = len(t) // 2  # later the elbow, which nothing holds but the torque, begins to give
     np.testing.assert_allclose(xs[:half, 0], exact[0, :half], atol=2e-3)
     assert np.abs(xs[:half, 1]).max() < 5e-3
-    free = np.abs(rollout(planner.cases.acrobot(horizon=1200, guess="zero"))[:half, 1]).max()
+    free = np.abs(first_rollout(planner.cases.acrobot(horizon=1200, guess="zero"))[:half, 1]).max()
     assert free > 0.1
 
 
 def test_hanging_stays_where_it_is_without_a_push():
     """Why the first guess from there is a sine: with u = 0, or the elbow held, nothing moves."""
     for guess in ("zero", "paper"):
-        xs = rollout(planner.cases.acrobot(start="hanging", guess=guess))
+        xs = first_rollout(planner.cases.acrobot(start="hanging", guess=guess))
         np.testing.assert_allclose(xs, np.tile(xs[0], (len(xs), 1)), atol=1e-12)
-    assert np.ptp(rollout(planner.cases.acrobot(start="hanging"))[:, 0]) > 1e-3
+    assert np.ptp(first_rollout(planner.cases.acrobot(start="hanging"))[:, 0]) > 1e-3
 
 
 def test_both_starts_converge_and_pass(plan):

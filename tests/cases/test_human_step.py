@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from places import ROOT
+from solves import first_rollout
 from walks import CYCLE, SWING
 
 import planner
@@ -227,13 +228,11 @@ def test_the_default_cost_clears_the_belt(default):
 def test_normal_pelvis_motion_is_far_from_it():
     """Passive legs carried as the normal pelvis moves: what section 7 compares with, and the foot drags."""
     problem = human_step(cost="study")
-    xs = [problem.x0]
-    for u in problem.first_guess:
-        xs.append(problem.dynamics.step(xs[-1][None], u[None])[0])
-    found = measures(CYCLE, np.array(xs))
+    xs = first_rollout(problem)
+    found = measures(CYCLE, xs)
     np.testing.assert_allclose([found.rms["left_hip_flexion"], found.rms["left_knee"]], [20.4, 23.1], atol=0.6)
     assert min(found.in_swing.values()) > 0.5
-    assert problem.cost.value(np.array(xs), problem.first_guess) == pytest.approx(844.0, rel=5e-3)
+    assert problem.cost.value(xs, problem.first_guess) == pytest.approx(844.0, rel=5e-3)
 
 
 def test_the_studys_cycle_is_repeated_by_mujoco(cycle):
@@ -274,11 +273,7 @@ def test_forces_as_controls():
     same = human_step(phase="swing")
     assert problem.dynamics.nu == 6
     assert not problem.dynamics.prescribed  # type: ignore[attr-defined]
-    xs, other = [problem.x0], [same.x0]
-    for u, a in zip(problem.first_guess, same.first_guess, strict=True):
-        xs.append(problem.dynamics.step(xs[-1][None], u[None])[0])
-        other.append(same.dynamics.step(other[-1][None], a[None])[0])
-    assert np.abs(np.array(xs) - np.array(other))[:20, :11].max() < 0.02  # forces are held over a stage
+    assert np.abs(first_rollout(problem) - first_rollout(same))[:20, :11].max() < 0.02  # forces are held over a stage
     plan = planner.solve(problem)
     assert plan.success
     step = dataclasses.replace(SWING, walker=dataclasses.replace(SWING.walker, motors=True))

@@ -1,6 +1,5 @@
 """problem.toml: what it says becomes the problem, and a plan holds all of it."""
 
-import json
 import runpy
 import shutil
 
@@ -9,6 +8,7 @@ import pytest
 from carts import refuse, write
 from machines import FAST_FINGER
 from places import ROOT
+from plan_files import contents, written
 from problem_files import ARM, USUAL
 
 import planner
@@ -75,13 +75,11 @@ def test_a_plan_needs_neither_file(tmp_path, monkeypatch):
 def test_a_damaged_table_is_refused(tmp_path):
     plan = planner.solve(load(write(tmp_path)).problem, max_iterations=2)
     plan.save(tmp_path / "plan.npz")
-    with np.load(tmp_path / "plan.npz", allow_pickle=False) as file:
-        arrays = dict(file)
-    meta = json.loads(str(arrays["meta"]))
+    arrays, meta = contents(tmp_path / "plan.npz")
     for key, value in (("dt", 0.1), ("goal", [1.0]), ("gaol", 1), ("weights", 3)):
         table = meta["recipe"]["parameters"] | {key: value}
         changed = meta | {"recipe": {"name": "problem-file", "parameters": table}}
-        np.savez(tmp_path / "changed.npz", **(arrays | {"meta": np.array(json.dumps(changed))}))
+        written(tmp_path / "changed.npz", arrays, changed)
         with pytest.raises(planner.base.errors.FileError, match=r"changed\.npz is damaged"):
             planner.load_plan(tmp_path / "changed.npz")
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from solves import first_rollout
 
 import planner
 from planner.base.gl import load_mujoco
@@ -35,13 +36,6 @@ def plan():
     return planner.solve(planner.cases.two_link())
 
 
-def rollout(problem):
-    xs = [problem.x0]
-    for u in problem.first_guess:
-        xs.append(problem.dynamics.step(xs[-1][None], u[None])[0])
-    return np.array(xs)
-
-
 def effort(problem, us):
     return 0.5 * problem.dynamics.dt * float(np.sum(us**2))
 
@@ -68,7 +62,7 @@ def test_the_first_guess_swings_a_straight_arm_up():
     errors = []
     for horizon in (200, 400):
         problem = planner.cases.two_link(horizon=horizon)
-        errors.append(np.abs(rollout(problem)[-1] - [*UPRIGHT, 0, 0]).max())
+        errors.append(np.abs(first_rollout(problem)[-1] - [*UPRIGHT, 0, 0]).max())
     assert errors[1] < 0.1
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 

@@ -414,3 +414,33 @@ def test_a_flight_that_no_work_of_the_legs_pushes_is_refused(straight):
     still = np.tile(rows[0], (1501, 1))
     with pytest.raises(planner.PlannerError, match=r"\[\[phase\]\] 1 has no foot on the ground for 15 s.* 73\.6 m/s"):
         gait_of(phases((None, []))).motion(mechanism, still, dt, np.tile([-2.0, 2.0], (mechanism.nv, 1)))
+
+
+@pytest.mark.parametrize(
+    ("gait", "stands"),
+    [
+        ("trot", True), ("walk", True), ({"kind": "pace", "duty": 0.5}, True), ({"kind": "trot", "duty": 0.4}, False),
+        ({"feet": {"a": 0.0, "b": 0.4}}, True), ({"feet": {"a": 0.0, "b": 0.4}, "duty": 0.55}, False),
+        ({"feet": {"a": 0.0, "b": 0.0}}, False),
+        ([{"until": 0.5, "stand": ["a", "b"]}, {"stand": ["a"]}], True),
+        ([{"until": 0.5, "stand": ["a", "b"]}, {"stand": []}], False),
+    ],
+)  # fmt: skip
+def test_whether_a_foot_stands_at_all_times(gait, stands):
+    assert gait_of(gait).always_stands is stands
+
+
+def test_gaits_that_always_stand_take_leapfrog_steps(tmp_path):
+    def steps(more):
+        dynamics = loaded(tmp_path, WALKING + more).dynamics
+        return dynamics.integrator, dynamics.substeps
+
+    assert steps('gait = "trot"\n') == ("leapfrog", 3)  # of 3.3 ms: 0.4 of the lead, 9.5 ms
+    assert steps('gait = "trot"\ndt = 0.005\n') == ("leapfrog", 2)
+    assert steps('gait = { kind = "trot", duty = 0.45 }\n') == ("rk4", 6)  # it flies, and lands
+    assert steps('gait = "trot"\nintegrator = "rk4"\n') == ("rk4", 6)
+    assert steps('gait = "trot"\nsubsteps = 6\n') == ("rk4", 6)
+    assert steps("") == ("rk4", 6)
+    problem = loaded(tmp_path, WALKING + 'gait = "trot"\n')
+    back = planner.load_plan(planner.solve(problem, max_iterations=1).save(tmp_path / "plan.npz"))
+    assert (back.problem.dynamics.integrator, back.problem.dynamics.substeps) == ("leapfrog", 3)

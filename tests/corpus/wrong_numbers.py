@@ -1,6 +1,5 @@
 """Wrong plans: numbers and files that are not what they say."""
 
-import json
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from plan_files import contents, written
 
 import planner
 from corpus import right_arms
@@ -98,15 +98,13 @@ def in_file(name: str, change: Callable[[dict[str, Any], dict[str, Any]], object
     def make(rng: Rng) -> Plan:
         with tempfile.TemporaryDirectory() as folder:
             path = FILED[kind](rng).save(Path(folder) / "plan.npz")
-            with np.load(path) as file:
-                arrays = {entry: file[entry].copy() for entry in file.files}
-            meta = json.loads(str(arrays.pop("meta")))
+            arrays, meta = contents(path)
             change(arrays, meta)
             if digests:
                 kept = {key: value for key, value in meta.items() if key not in ("digests", "format_version")}
                 write_archive(path, arrays, kept)
             else:
-                np.savez(path, **arrays, meta=np.array(json.dumps(meta)))
+                written(path, arrays, meta)
             return planner.load_plan(path)
 
     member(f"a file: {name}", make)

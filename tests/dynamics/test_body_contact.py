@@ -1,24 +1,24 @@
 """Contact of two bodies: closest points, the twin in NumPy against differences, the kernels against it, energy."""
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 import pytest
-from contact_machines import MACHINES, SHARP, SOFT, each_touch, law_states, moved
+from contact_machines import MACHINES, SHARP, SOFT, assert_contacts_act, each_touch, law_states
+from gradients import assert_step_derivatives, assert_step_derivatives_near_kinks
 from hypothesis import strategies as st
-from trees import actuated, driven, machines, random_state, relative_error
+from trees import actuated, driven, machines, random_state
 
 from planner.base.errors import PlannerError
-from planner.dynamics import RigidBodyDynamics, product_of_exponentials
+from planner.dynamics import RigidBodyDynamics
 from planner.dynamics import algorithms as rigid_body
 from planner.dynamics.contact_kinematics import BodyContactKinematics, closest_points
-from planner.dynamics.contacts import body_contact_forces, generalized_forces
+from planner.dynamics.contacts import body_contact_forces
 from planner.dynamics.kinematics import LinkPlaces, angular_momentum, center_of_mass
 from planner.model.contact.body_contact import BodyContact, Capsule
 from planner.model.contact.laws import ContactLaw
-from planner.model.mechanism import SCREW, Mechanism
-from tests.contact_derivatives import generalized_force_derivatives
+from planner.model.mechanism import Mechanism
+from planner.proof.engines.motion import normalized
 
 HINGES = """<mujoco><worldbody>
   <body><joint name="one" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03"/></body>
@@ -86,89 +86,24 @@ def meeting(m, x, touch, rng, count=4):
     return dataclasses.replace(m, body_contacts=tuple(contacts))
 
 
-@machines(10, max_dofs=12, max_bodies=5, sharp=st.booleans())
-def test_derivatives_of_the_generalized_forces(text, seed, sharp):
-    rng = np.random.default_rng(seed)
-    m = Mechanism.from_mjcf(text)
-    x = random_state(m.space, rng, unnormalized=False)
-    q, qd = x[: m.nq], x[m.nq : m.nq + m.nv]
-    m = meeting(m, x, SHARP if sharp else SOFT, rng)
-    by_q, by_qd = generalized_force_derivatives(m, q, qd)
-
-    def check(by: np.ndarray, forces: Callable[[float], np.ndarray], scale: float) -> None:
-        """Central differences at h and h / 2 tell their own error, which is large where contacts graze."""
-        far, near = ((forces(h) - forces(-h)) / (2 * h) for h in (1e-7, 5e-8))
-        assert np.max(np.abs(by - near)) < 1e-6 * max(1.0, scale) + np.max(np.abs(near - far))
-
-    for i, d in enumerate(np.eye(m.nv)):
-        check(by_q[:, i], lambda h, d=d: generalized_forces(m, moved(m, q, h * d), qd), np.max(np.abs(by_q)))
-        check(by_qd[:, i], lambda h, d=d: generalized_forces(m, q, qd + h * d), np.max(np.abs(by_qd)))
-
-
 @machines(12, max_dofs=15, max_bodies=6, sharp=st.booleans())
 def test_kernels_are_their_twin(text, seed, sharp):
     """Accelerations, and A of an Euler step, with prescribed joints among them."""
     bare, xs, us, rng = driven(text, seed, K=1, integrator="euler", dt=1.0)
-    m, prescribed, x = bare.mechanism, bare.prescribed, xs[0].copy()
-    for address, _ in m.quaternions:
-        x[address : address + 4] /= np.linalg.norm(x[address : address + 4])
-    q, qd = x[: m.nq], x[m.nq : m.nq + m.nv]
-    m = meeting(m, x, SHARP if sharp else SOFT, rng)
-    dynamics = RigidBodyDynamics(m, 1.0, "euler", prescribed)
-    free = np.ones(m.nv, dtype=bool)
-    for name in prescribed:
-        free[m.joint(name)] = False
-    # M_ff dqdd_f = tau_f: what the twin's force adds to the accelerations
-    M, tau = product_of_exponentials.mass_matrix(m, q), generalized_forces(m, q, qd)
-    more = np.zeros(m.nv)
-    more[free] = np.linalg.solve(M[np.ix_(free, free)], tau[free])
-    acceleration, without = (d.rates(x[None], us)[0, m.nv : 2 * m.nv] for d in (dynamics, bare))
-    assert relative_error(acceleration, without + more) < 1e-9
-    # and to A: the derivatives of inverse dynamics at the accelerations that contact causes
-    Dq, Dv, _ = rigid_body.rnea_derivatives(m, q, qd, acceleration)
-    by_q, by_qd = generalized_force_derivatives(m, q, qd)
-    a = m.actuators
-    moment = a.moment * free
-    servo_q, servo_v = (moment.T @ (a.bias[:, [k]] * a.moment) for k in (1, 2))
-    servo_q[:, m.kind != SCREW] = 0.0
-    expected = np.zeros((m.nv, 2 * m.nv))
-    expected[free] = np.linalg.solve(
-        M[np.ix_(free, free)], np.hstack([by_q + servo_q - Dq, by_qd + servo_v - Dv])[free]
-    )
-    A, _ = dynamics.linearize(x[None], us)
-    assert relative_error(A[0, m.nv : 2 * m.nv, : 2 * m.nv] - np.eye(2 * m.nv)[m.nv :], expected) < 1e-8
+    x = normalized(bare.mechanism, xs[0])
+    assert_contacts_act(bare, meeting(bare.mechanism, x, SHARP if sharp else SOFT, rng), x, us)
 
 
 @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
 @pytest.mark.parametrize("name", MACHINES)
 def test_jacobians_of_a_stage(name, integrator):
-    """A and B against differences, as near as their rounding and their own change with the step allow."""
     rng = np.random.default_rng(3)
     m = Mechanism.from_mjcf(actuated(MACHINES[name], rng))
     x = random_state(m.space, rng, unnormalized=False)
     m = meeting(m, x, SOFT, rng)
     assert np.max(np.abs(body_contact_forces(m, x[: m.nq], x[m.nq : m.nq + m.nv]).forces)) > 1.0
-    dynamics, space = RigidBodyDynamics(m, 1e-3, integrator), m.space
-    xs, us = x[None], rng.normal(size=(1, dynamics.nu))
-    A, B = dynamics.linearize(xs, us)
-
-    def slopes(size, ends, h):
-        """Central differences (ndx, size) of the end of a stage."""
-        moves = h * np.eye(size)
-        return np.stack([space.difference(ends(d[None]), ends(-d[None]))[0] for d in moves], axis=1) / (2.0 * h)
-
-    h = 1e-6
-    rounding = 200.0 * np.finfo(float).eps * max(1.0, np.max(np.abs(xs))) / h
-    for claimed, ends in (
-        (A[0], lambda d: dynamics.step(space.integrate(xs, d), us)),
-        (B[0], lambda d: dynamics.step(xs, us + d)),
-    ):
-        fine, coarse = (slopes(claimed.shape[1], ends, step) for step in (h, 2.0 * h))
-        extrapolated = fine + (fine - coarse) / 3.0
-        assert np.all(
-            np.abs(claimed - extrapolated) < rounding * max(1.0, np.max(np.abs(claimed))) + np.abs(fine - coarse)
-        )
-        assert np.max(np.abs(fine - coarse)) < 1e-4 * max(1.0, np.max(np.abs(claimed)))
+    dynamics = RigidBodyDynamics(m, 1e-3, integrator)
+    assert_step_derivatives_near_kinks(dynamics, x, rng.normal(size=dynamics.nu), h=1e-6)
 
 
 def test_lanes_are_their_states():
@@ -222,20 +157,14 @@ def test_parallel_capsules_have_forces_and_slopes(touch, turn):
     """Exactly parallel ones too; with a ramp the slopes are those of differences."""
     m, x = rods(touch, turn)
     qd = np.random.default_rng(5).normal(size=m.nv)
-    q = x[: m.nq]
-    by_q, by_qd = generalized_force_derivatives(m, q, qd)
-    assert np.isfinite([by_q, by_qd]).all()
-    dynamics = RigidBodyDynamics(m, 1e-4)
-    A, _ = dynamics.linearize(np.concatenate([q, qd])[None], np.zeros((1, 1)))
+    x = np.concatenate([x[: m.nq], qd])
+    q, dynamics = x[: m.nq], RigidBodyDynamics(m, 1e-4)
+    A, _ = dynamics.linearize(x[None], np.zeros((1, 1)))
     assert np.all(np.isfinite(A))
     force = body_contact_forces(m, q, np.zeros(m.nv)).forces[0]
     assert force[2] > 0.9 * touch.stiffness * 0.0085
     if touch is SOFT:
-        h = 1e-8
-        for i in range(m.nv):
-            d = h * np.eye(m.nv)[i]
-            slope = (generalized_forces(m, moved(m, q, d), qd) - generalized_forces(m, moved(m, q, -d), qd)) / (2 * h)
-            assert np.max(np.abs(by_q[:, i] - slope)) < 1e-5 * np.max(np.abs(by_q))
+        assert_step_derivatives(dynamics, x, np.zeros(1), h=1e-8, within=1e-5)
 
 
 def collided(touch, steps=600, dt=2e-4):

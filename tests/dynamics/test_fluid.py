@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from gradients import assert_step_derivatives
 from machines import MACHINE
 from twins import assert_kernels_are_their_twin
 
@@ -31,12 +32,7 @@ def test_a_stage_in_water():
     m = Mechanism.from_mjcf(DRIVEN)
     dynamics, rng = planner.RigidBodyDynamics(m, 0.002), np.random.default_rng(1)
     xs, us = random_states(m, rng, 4), rng.normal(size=(4, m.nu))
-    A, _ = dynamics.linearize(np.vstack([xs, xs[:1]]), us)
-    space, h = m.space, 1e-6
-    for j, e in enumerate(np.eye(space.ndx)):
-        ends = [dynamics.step(space.integrate(xs, np.tile(side * h * e, (4, 1))), us) for side in (1.0, -1.0)]
-        found = space.difference(*ends) / (2.0 * h)
-        assert np.abs(found - A[:, :, j]).max() < 1e-6 * np.abs(A).max()  # h^2 times third derivatives, rounding / h
+    assert_step_derivatives(dynamics, xs, us, within=1e-6)
 
 
 def test_a_plan_in_water_holds_in_mujoco():

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from closed_chains import four_bar
+from gradients import second_order_differences
 from hypothesis import assume
 from trees import CHAINS, actuated, damped, driven, machines
 
@@ -82,19 +83,11 @@ def test_rates_are_the_machines_own():
 
 def test_second_derivatives_are_differences_of_the_first():
     m = Mechanism.from_mjcf(actuated(CHAINS["arm"], np.random.default_rng(0), activations=False))
-    dynamics, rng = (
-        RigidBodyDynamics(replace(m, damping=np.array([50.0, 9.0, 300.0, 4.0])), 0.05, "implicitfast"),
-        (np.random.default_rng(2)),
-    )
-    x, u, costate, h = rng.normal(size=dynamics.nx), rng.normal(size=dynamics.nu), rng.normal(size=dynamics.nx), 1e-5
-    T = dynamics.second_order(np.stack([x, x]), u[None], np.stack([costate, costate]))[0]
-
-    def gradient(dz):
-        A, B = dynamics.linearize(np.stack([x, x]) + dz[: dynamics.nx], u[None] + dz[dynamics.nx :])
-        return costate @ np.concatenate([A[0], B[0]], axis=1)
-
-    theirs = np.array([(gradient(h * e) - gradient(-h * e)) / (2.0 * h) for e in np.eye(len(T))])
-    np.testing.assert_allclose(T, theirs, atol=1e-7 * max(1.0, np.abs(T).max()))  # h^2, and rounding over h
+    dynamics = RigidBodyDynamics(replace(m, damping=np.array([50.0, 9.0, 300.0, 4.0])), 0.05, "implicitfast")
+    rng = np.random.default_rng(2)
+    at = [rng.normal(size=(k, n)) for k, n in ((2, dynamics.nx), (1, dynamics.nu), (2, dynamics.nx))]
+    T = dynamics.second_order(*at)
+    np.testing.assert_allclose(T, second_order_differences(dynamics, *at), atol=1e-7 * max(1.0, np.abs(T).max()))
 
 
 TENDON = '<tendon><fixed damping="2"><joint joint="a" coef="1"/><joint joint="b" coef="-1"/></fixed></tendon>'

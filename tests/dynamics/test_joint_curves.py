@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driven import moved_cart
+from gradients import assert_step_derivatives
 from machines import MACHINE
 from swings import mechanism, swing
 from trees import mujoco
@@ -25,7 +26,6 @@ from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.robustness.perturbation import Perturbation, draw
 from planner.proof.robustness.rollouts import Rollouts
-from tests.contact_derivatives import generalized_force_derivatives
 
 # Two arms on a cart that slides: curves couple all three, as muscles do that span several joints.
 ARMS = """
@@ -90,25 +90,7 @@ def test_kernels_add_the_torques_to_what_is_applied(arms):
 @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
 def test_derivatives_of_a_stage_are_those_of_differences(arms, integrator):
     dynamics = RigidBodyDynamics(arms, 0.02, integrator)
-    xs, us = states(arms)
-    A, B = dynamics.linearize(np.vstack([xs, xs[-1:]]), us)
-    h = 1e-6
-    for i in range(dynamics.nx):
-        d = h * np.eye(dynamics.nx)[i]
-        by_x = (dynamics.step(xs + d, us) - dynamics.step(xs - d, us)) / (2.0 * h)
-        np.testing.assert_allclose(A[:, :, i], by_x, atol=1e-7)
-    by_u = (dynamics.step(xs, us + h) - dynamics.step(xs, us - h)) / (2.0 * h)
-    np.testing.assert_allclose(B[:, :, 0], by_u, atol=1e-7)
-
-
-def test_derivatives_in_numpy_are_those_of_differences(arms):
-    xs, _ = states(arms)
-    q, qd, h = xs[:, :3], xs[:, 3:], 1e-6
-    by_q, by_qd = generalized_force_derivatives(arms, q, qd)
-    for i, d in enumerate(h * np.eye(3)):
-        change = generalized_forces(arms, q + d, qd) - generalized_forces(arms, q - d, qd)
-        np.testing.assert_allclose(by_q[:, :, i], change / (2.0 * h), rtol=1e-7, atol=1e-7)
-    assert not by_qd.any()
+    assert_step_derivatives(dynamics, *states(arms))
 
 
 def test_a_pendulum_between_exponential_ends_keeps_its_energy():

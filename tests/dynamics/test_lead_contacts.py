@@ -200,22 +200,19 @@ def wrench(law, n, e, x):
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_derivatives_of_a_law_with_a_lead(law):
     n, e, x = states_of_a_law(law)
-    f, by_e, by_x = wrench(law, n, e, x)
+    f, by_x = wrench(law, n, e, x)
     assert np.max(np.abs(f)) > 10.0
     h = 1e-7
-    slope = (wrench(law, n, e + h, x)[0] - wrench(law, n, e - h, x)[0]) / (2 * h)
-    away = np.abs(slope - by_e).max(axis=1) < 1e-5 * law.stiffness
-    assert np.mean(away) > 0.99  # but where a kink lies between the two
     for axis in range(6):
         d = h * np.eye(6)[axis]
         slope = (wrench(law, n, e, x + d)[0] - wrench(law, n, e, x - d)[0]) / (2 * h)
-        assert np.mean(np.abs(slope - by_x[:, :, axis]).max(axis=1) < 1e-5 * law.damping) > 0.99
+        assert np.mean(np.abs(slope - by_x[:, :, axis]).max(axis=1) < 1e-5 * law.damping) > 0.99  # but over a kink
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_the_force_is_minus_the_gradient_of_a_convex_function_and_stays_in_its_cone(law):
     n, e, x = states_of_a_law(law)
-    f, _, by_x = wrench(law, n, e, x)
+    f, by_x = wrench(law, n, e, x)
     np.testing.assert_allclose(by_x, np.swapaxes(by_x, 1, 2), atol=1e-10 * law.damping)
     assert np.linalg.eigvalsh(by_x).max() <= 1e-10 * law.damping
     normal, spin = np.einsum("ka,ka->k", f[:, :3], n), np.einsum("ka,ka->k", f[:, 3:], n)
@@ -232,7 +229,7 @@ def test_the_force_is_minus_the_gradient_of_a_convex_function_and_stays_in_its_c
 def test_deep_inside_a_smoothed_law_presses_as_the_sharp_one(name):
     """surface_offset makes up for the ramps of the depth and of each edge: K (e - a/2) - 4 f/2 is K depth."""
     law, depth = LAWS[name], 0.03
-    f = contact_force(law, np.array([[0.0, 0.0, 1.0]]), np.array([depth + law.surface_offset]), np.zeros((1, 3)))[0]
+    f = contact_force(law, np.array([[0.0, 0.0, 1.0]]), np.array([depth + law.surface_offset]), np.zeros((1, 3)))
     assert f[0, 2] == pytest.approx(law.stiffness * depth, rel=1e-12)
 
 

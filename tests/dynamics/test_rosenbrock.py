@@ -8,6 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from gradients import assert_step_derivatives
 from machines import FRICTION_ARM
 from trees import CHAINS, actuated, damped, driven, machines, random_state
 
@@ -69,26 +70,6 @@ def test_a_step_is_the_twins(text, seed):
         assert apart(m, end, wanted, x) < 1e-8
 
 
-def slopes(dynamics, x, u, h=1e-6):
-    """A and B of a stage by central differences."""
-    space, zero = dynamics.space, np.zeros(dynamics.nu)
-    end = dynamics.step(x[None], u[None])[0]
-
-    def slope(dx, du):
-        ahead, back = (dynamics.step(space.integrate(x, s * dx)[None], (u + s * du)[None])[0] for s in (h, -h))
-        return (space.difference(ahead, end) - space.difference(back, end)) / (2.0 * h)
-
-    by_x = np.stack([slope(e, zero) for e in np.eye(space.ndx)], axis=1)
-    return by_x, np.stack([slope(np.zeros(space.ndx), e) for e in np.eye(dynamics.nu)], axis=1)
-
-
-def check_slopes(dynamics, x, u):
-    found = dynamics.linearize(np.stack([x, x]), u[None])
-    for ours, theirs in zip(found, slopes(dynamics, x, u), strict=True):
-        # central differences: h^2 of the third derivatives and rounding over h, both about 1e-10 of entries of size 1
-        np.testing.assert_allclose(ours[0], theirs, atol=1e-7 * max(1.0, np.abs(ours).max()))
-
-
 @pytest.mark.parametrize(("integrator", "substeps"), [("rosenbrock", 1), ("rosenbrock", 3), ("implicitfast", 1)])
 @pytest.mark.parametrize("name", CHAINS)
 def test_derivatives_are_those_of_differences(name, integrator, substeps):
@@ -96,7 +77,8 @@ def test_derivatives_are_those_of_differences(name, integrator, substeps):
     m = Mechanism.from_mjcf(actuated(CHAINS[name], np.random.default_rng(0)))
     m = replace(m, damping=10.0 ** rng.uniform(-1, 4, m.nv))
     dynamics = RigidBodyDynamics(m, 0.03, integrator, substeps=substeps)
-    check_slopes(dynamics, m.space.integrate(m.home, 0.3 * rng.normal(size=m.space.ndx)), rng.normal(size=m.nu))
+    x = m.space.integrate(m.home, 0.3 * rng.normal(size=m.space.ndx))
+    assert_step_derivatives(dynamics, x, rng.normal(size=m.nu))
 
 
 @pytest.mark.parametrize(("integrator", "substeps"), [("rosenbrock", 2), ("implicitfast", 1)])
@@ -108,7 +90,7 @@ def test_derivatives_of_what_is_coupled_prescribed_or_rubs_are_those_of_differen
     x[[2, 5]] = 0.7 * x[[1, 4]]
     for machine, prescribed in ((m, ()), (coupled, ()), (m, ("lift",))):
         dynamics = RigidBodyDynamics(machine, 0.02, integrator, prescribed, substeps)
-        check_slopes(dynamics, x, rng.normal(size=dynamics.nu) if prescribed else u)
+        assert_step_derivatives(dynamics, x, rng.normal(size=dynamics.nu) if prescribed else u)
 
 
 @machines(8, max_dofs=12)

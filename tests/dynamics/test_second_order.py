@@ -4,37 +4,18 @@ import itertools
 
 import numpy as np
 import pytest
+from engines import assert_same_iterations, both_engines
+from gradients import second_order_differences
 from hypothesis import strategies as st
-from solves import hopper, linear, pendulum, rollout, swing
+from solves import hopper, linear, pendulum, pendulum_jacobian, rollout, swing
 from trees import CHAINS, actuated, driven, machines, relative_error
 
 import planner
 from planner import FunctionDynamics, PlannerError, Problem, TrackingCost
 from planner.dynamics import INTEGRATORS, HopperDynamics, RigidBodyDynamics
-from planner.kernels.lq import line_search
-from planner.kernels.lq.workspace import ACCEPTED, INDEFINITE
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine
 
 each_integrator = pytest.mark.parametrize("integrator", INTEGRATORS)
-STEP = 1e-5  # differences of Jacobians: h^2 and 1e-16 / h are equal here
-
-
-def differences(dynamics, xs, us, costates, step=STEP):
-    """T by central differences of A and B, z = (x, u)."""
-    N, nx = len(us), xs.shape[1]
-    nz = nx + us.shape[1]
-    T = np.empty((N, nz, nz))
-
-    def gradient(dz):
-        A, B = dynamics.linearize(xs + dz[:nx], us + dz[nx:])
-        return np.einsum("nij,ni->nj", np.concatenate([A, B], axis=2), costates[1:])
-
-    for j, dz in enumerate(step * np.eye(nz)):
-        T[:, j] = (gradient(dz) - gradient(-dz)) / (2.0 * step)
-    return T
-
-
 # ------------------------------------------------------------------------------------------------ the terms
 
 
@@ -44,7 +25,7 @@ def test_second_derivatives_of_trees_are_differences(text, seed, integrator):
     dynamics, xs, us, rng = driven(text, seed, K=5, integrator=integrator, dt=0.1)
     xs, costates = np.vstack([xs, xs[:1]]), rng.normal(size=(6, dynamics.nx))
     T = dynamics.second_order(xs, us, costates)
-    assert relative_error(T, differences(dynamics, xs, us, costates)) < 1e-7
+    assert relative_error(T, second_order_differences(dynamics, xs, us, costates)) < 1e-7
     np.testing.assert_array_equal(T, T.swapaxes(1, 2))
 
 
@@ -57,7 +38,7 @@ def test_second_derivatives_of_the_hopper_are_differences(integrator):
         rng.normal(size=(200, 1)),
         rng.normal(size=(201, 3)),
     )
-    T, theirs = dynamics.second_order(xs, us, costates), differences(dynamics, xs, us, costates, 1e-6)
+    T, theirs = dynamics.second_order(xs, us, costates), second_order_differences(dynamics, xs, us, costates, 1e-6)
     wrong = np.abs(T - theirs).max(axis=(1, 2)) > 1e-7
     assert wrong.sum() <= 2  # knots of 200 where a difference of 1e-6 may trip over a kink
     curved = np.abs(T).max(axis=(1, 2)) > 0.0
@@ -68,19 +49,13 @@ def test_second_derivatives_of_the_hopper_are_differences(integrator):
 @pytest.mark.parametrize("integrator", ["euler", "semi-implicit-euler", "rk4", "discrete"])
 def test_second_derivatives_of_a_users_own_dynamics_are_near(integrator, exact, tolerance):
     """By differences: the one of the pendulum in closed form where the step is one evaluation."""
-
-    def jacobian(x, u):
-        fx, fu = np.zeros((len(x), 2, 2)), np.zeros((len(x), 2, 1))
-        fx[:, 0, 1], fx[:, 1, 0], fu[:, 1, 0] = 1.0, -9.81 * np.cos(x[:, 0]), 1.0
-        return fx, fu
-
     rng = np.random.default_rng(1)
     xs, us, costates = rng.normal(size=(5, 2)), rng.normal(size=(4, 1)), rng.normal(size=(5, 2))
-    dynamics = FunctionDynamics(pendulum, 2, 1, 0.1, integrator, jacobian if exact else None)
+    dynamics = FunctionDynamics(pendulum, 2, 1, 0.1, integrator, pendulum_jacobian if exact else None)
     T = dynamics.second_order(xs, us, costates)
     if integrator == "rk4":
-        twin = FunctionDynamics(pendulum, 2, 1, 0.1, integrator, jacobian)
-        assert relative_error(T, differences(twin, xs, us, costates)) < tolerance
+        twin = FunctionDynamics(pendulum, 2, 1, 0.1, integrator, pendulum_jacobian)
+        assert relative_error(T, second_order_differences(twin, xs, us, costates)) < tolerance
         return
     weight = {"euler": 0.1, "semi-implicit-euler": 0.1, "discrete": 1.0}[integrator] * costates[1:, 1]
     if integrator == "semi-implicit-euler":
@@ -115,28 +90,7 @@ each_task = pytest.mark.parametrize("make", tasks().values(), ids=tasks())
 @pytest.mark.parametrize("feedback", [True, False])
 def test_both_engines_do_the_same(make, feedback):
     task = make()
-    ours, twin = CompiledEngine(task, task.dynamics, task.cost), NumpyEngine(task)
-    costs = [engine.start_from_controls(task.x0, task.first_guess, True) for engine in (ours, twin)]
-    first, accepted = None, 0
-    for _ in range(4):
-        mu, fresh = 0.0, True
-        while True:
-            a = ours.iterate(feedback, line_search.ARMIJO, mu, fresh, costs[0], 0.0, -1.0)
-            b = twin.iterate(feedback, line_search.ARMIJO, mu, fresh, costs[1], 0.0, -1.0)
-            assert a.kind == b.kind
-            if a.kind != INDEFINITE:
-                break
-            mu, fresh = max(1.0, 10.0 * mu), False
-        first = first or b
-        if abs(b.slope) < 1e-9 * b.cost:  # at the minimum, where rounding decides
-            break
-        assert a.slope == pytest.approx(b.slope, rel=1e-7, abs=1e-11 * abs(first.slope))
-        assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-7, abs=1e-9 * first.gradient_norm)
-        assert relative_error(ours.gains(), twin.gains()) < 1e-7
-        assert a.step == b.step
-        assert a.cost == pytest.approx(b.cost, rel=1e-9)
-        costs, accepted = [a.cost, b.cost], accepted + (a.kind == ACCEPTED)
-    assert accepted
+    assert assert_same_iterations(both_engines(task), task, [feedback] * 4, exact=True, within=1e-7)
 
 
 @each_task

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from gradients import assert_step_derivatives
 from thrusters import EVERY_WAY, QUADROTOR, random_states
 
 from planner.base.errors import PlannerError
@@ -50,7 +51,7 @@ def test_moments_and_accelerations_are_mujoco_s(machine, rng):
 def test_derivatives_are_exact(machine, rng, integrator, substeps):
     dynamics = RigidBodyDynamics(machine, 0.01, integrator, substeps=substeps)
     xs, us = random_states(machine, rng, 5)
-    assert_linearization(dynamics, xs, us)
+    assert_step_derivatives(dynamics, xs, us)
 
 
 def test_a_prescribed_joint_takes_no_force_of_a_site(machine, rng):
@@ -59,24 +60,7 @@ def test_a_prescribed_joint_takes_no_force_of_a_site(machine, rng):
     us = np.concatenate([us, rng.normal(size=(4, 4))], axis=1)
     given = dynamics.rates(xs, us)[:, machine.nv :]
     np.testing.assert_allclose(given[:, [0, 2, 3, 4]], us[:, machine.nu :])
-    assert_linearization(dynamics, xs, us)
-
-
-def assert_linearization(dynamics, xs, us):
-    """A and B against central differences; h^2 and rounding leave 1e-7 of the largest entry."""
-    space, h = dynamics.space, 1e-5
-    A, B = dynamics.linearize(np.concatenate([xs, xs[:1]]), us)
-    for n, (x, u) in enumerate(zip(xs, us, strict=True)):
-        dxs, dus = h * np.eye(space.ndx), h * np.eye(dynamics.nu)
-        sides = [
-            dynamics.step(np.array([space.integrate(x, s * d) for d in dxs]), np.tile(u, (space.ndx, 1)))
-            for s in (1, -1)
-        ]
-        by_x = np.array([space.difference(a, b) for a, b in zip(*sides, strict=True)]).T / (2 * h)
-        sides = [dynamics.step(np.tile(x, (dynamics.nu, 1)), u + s * dus) for s in (1, -1)]
-        by_u = np.array([space.difference(a, b) for a, b in zip(*sides, strict=True)]).T / (2 * h)
-        np.testing.assert_allclose(A[n], by_x, atol=1e-7 * np.abs(A[n]).max())
-        np.testing.assert_allclose(B[n], by_u, atol=1e-7 * max(1.0, np.abs(B[n]).max()))
+    assert_step_derivatives(dynamics, xs, us)
 
 
 def test_hover_is_static():

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from engines import assert_same_iterations, both_engines
 from gradients import assert_step_derivatives
 from machines import FAST_FINGER
 from trees import CHAINS, actuated, driven, machines, relative_error
@@ -14,8 +15,6 @@ from trees import CHAINS, actuated, driven, machines, relative_error
 import planner
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
-from planner.solvers.engine import acquire_engine
-from planner.solvers.engine.in_numpy import NumpyEngine
 
 
 def in_single_steps(dynamics, xs, us):
@@ -57,14 +56,7 @@ def reach(substeps, N=30, dt=0.01):
 
 def test_a_solve_with_substeps_is_the_numpy_engines():
     problem = reach(6)
-    engines = acquire_engine(problem, 0), NumpyEngine(problem)
-    costs = [engine.start_from_controls(problem.x0, problem.first_guess) for engine in engines]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
-    for _ in range(3):
-        done = [engine.iterate(True, 0, 0.0, True, costs[k], 0.0, 0.0) for k, engine in enumerate(engines)]
-        costs = [one.cost for one in done]
-        assert done[0].gradient_norm == pytest.approx(done[1].gradient_norm, rel=1e-7)
-        assert costs[0] == pytest.approx(costs[1], rel=1e-9)
+    assert_same_iterations(both_engines(problem), problem, [True] * 3, within=1e-7)
 
 
 def test_a_stiff_machine_plans_with_substeps_at_a_stage_that_one_step_does_not_follow():

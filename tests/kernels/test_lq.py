@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.linalg import block_diag, solve_discrete_are
+from scipy.linalg import solve_discrete_are
+from solves import kkt_solution
 
 from planner import FunctionDynamics, TrackingCost
 from planner.kernels.lq import riccati as kernels
@@ -40,26 +41,12 @@ sizes = {"N": st.integers(1, 12), "nx": st.integers(1, 12), "nu": st.integers(1,
 
 
 def dense(A, B, m, dx0):
-    """The whole quadratic program at once: minimize over all dx(1..N), du(0..N-1) with the dynamics as constraints.
-
-    Returns dxs (N+1, nx), dus (N, nu), multipliers (N, nx) and the least value.
-    """
-    N, nx, nu = B.shape
-    H = block_diag(*m.R, *m.Q[1:])
-    g = np.concatenate([m.r.ravel(), m.q[1:].ravel()])
-    C, c = np.zeros((N * nx, len(g))), np.zeros(N * nx)  # A dx(n) + B du(n) - dx(n+1) = -c
-    for n in range(N):
-        rows = slice(n * nx, (n + 1) * nx)
-        C[rows, n * nu : (n + 1) * nu] = B[n]
-        C[rows, N * nu + n * nx : N * nu + (n + 1) * nx] = -np.eye(nx)
-        if n > 0:
-            C[rows, N * nu + (n - 1) * nx : N * nu + n * nx] = A[n]
-    c[:nx] = A[0] @ dx0
-    kkt = np.block([[H, C.T], [C, np.zeros((N * nx, N * nx))]])
-    z, multipliers = np.split(np.linalg.solve(kkt, -np.concatenate([g, c])), [len(g)])
-    value = 0.5 * z @ H @ z + g @ z + 0.5 * dx0 @ m.Q[0] @ dx0 + m.q[0] @ dx0
-    dxs = np.concatenate([dx0, z[N * nu :]]).reshape(N + 1, nx)
-    return dxs, z[: N * nu].reshape(N, nu), multipliers.reshape(N, nx), value
+    """The quadratic program from dx(0) = dx0, which its dynamics carry on as a first gap: see kkt_solution()."""
+    gaps = np.zeros(B.shape[:2])
+    gaps[0] = A[0] @ dx0
+    dxs, dus, multipliers, value = kkt_solution(A, B, m, gaps)
+    dxs[0] = dx0
+    return dxs, dus, multipliers, value + 0.5 * dx0 @ m.Q[0] @ dx0 + m.q[0] @ dx0
 
 
 def assert_close(ours, theirs, digits=9):

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 from contact_machines import leg, standing
+from engines import assert_same_iterations, both_engines
 from hypothesis import strategies as st
 from machines import HAND_ARM
 from solves import assert_consistent, assert_stationary, numpy_twin, same_bits
-from trees import drawn, machines, relative_error
+from trees import drawn, machines
 
 import planner
 from planner import Limits, Mechanism, PenaltyCost, Problem, RigidBodyDynamics, Status, TrackingCost
 from planner.costs import Distance, Gap, Height, Point, Segment, Velocity
 from planner.dynamics import INTEGRATORS
-from planner.kernels.lq import line_search
 from planner.problem.costs.least_squares import ResidualCost
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.rediscretize import finer
@@ -67,37 +67,17 @@ def penalized(text, seed, integrator, full=False, limits=False):
 # -------------------------------------------------------------------------------------------- the other engine
 
 
-def engines(task):
-    ours = acquire_engine(task)
-    assert type(ours) is CompiledEngine
-    return ours, NumpyEngine(task)
-
-
 @machines(24, max_dofs=14, max_bodies=5, integrator=st.sampled_from(INTEGRATORS), feedback=st.booleans())
 def test_both_engines_do_the_same(text, seed, integrator, feedback):
     task = penalized(text, seed, integrator)
-    ours, twin = engines(task)
-    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-11)
-    a, b = (engine.sweep(0.0, True) for engine in (ours, twin))
-    assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-9)
-    assert relative_error(ours.gradient(), twin.gradient()) < 1e-10
-    assert relative_error(ours.gains(), twin.gains()) < 1e-8
-    a, b = (
-        engine.iterate(feedback, line_search.ARMIJO, 0.0, False, cost, 0.0, -1.0)
-        for engine, cost in zip((ours, twin), costs, strict=True)
-    )
-    assert (a.kind, a.step) == (b.kind, b.step)
-    assert a.cost == pytest.approx(b.cost, rel=1e-9)
-    for mine, other in zip(ours.trajectory(), twin.trajectory(), strict=True):
-        assert relative_error(mine, other) < 1e-8
+    assert_same_iterations(both_engines(task), task, [feedback])
 
 
 @machines(16, max_dofs=14, max_bodies=5)
 def test_the_kernels_model_is_the_costs(text, seed):
     """Gradients and Hessians of the stages themselves, to rounding."""
     task = penalized(text, seed, "rk4")
-    ours, _ = engines(task)
+    ours, _ = both_engines(task)
     ours.start_from_controls(task.x0, task.first_guess)
     ours.sweep(0.0, True)
     w = ours._w
@@ -115,16 +95,8 @@ def test_the_kernels_model_is_the_costs(text, seed):
 @machines(8, max_dofs=10, max_bodies=4, integrator=st.sampled_from(INTEGRATORS))
 def test_bounds_hold_beside_compiled_penalties(text, seed, integrator):
     task = penalized(text, seed, integrator, limits=True)
-    ours, twin = engines(task)
-    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-11)
-    a, b = (
-        engine.iterate(True, line_search.ARMIJO, 0.0, True, cost, 0.0, -1.0)
-        for engine, cost in zip((ours, twin), costs, strict=True)
-    )
-    assert (a.kind, a.step) == (b.kind, b.step)
-    assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-9)
-    assert a.cost == pytest.approx(b.cost, rel=1e-9)
+    ours, twin = both_engines(task)
+    assert_same_iterations((ours, twin), task, [True])
     assert np.abs(ours.trajectory()[1]).max() <= 0.2 + 1e-12
 
 

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from engines import assert_same_iterations, begun, both_engines
 from gradients import assert_gradients
 from hypothesis import strategies as st
 from machines import HAND_ARM
 from solves import assert_consistent, assert_stationary, numpy_twin
-from trees import drawn, machines, relative_error
+from trees import drawn, machines
 
 import planner
 from planner import Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, Status, TrackingCost
@@ -22,7 +23,7 @@ from planner.problem.costs.frame import SlipCost
 from planner.problem.costs.least_squares import ResidualCost
 from planner.problem.costs.residual_functions import RESIDUALS
 from planner.problem.rediscretize import finer
-from planner.solvers.engine import CompiledEngine, HybridEngine, NumpyEngine, acquire_engine
+from planner.solvers.engine import CompiledEngine, HybridEngine, acquire_engine
 
 BALL = """
 <mujoco>
@@ -83,27 +84,10 @@ def task_with(text, seed, integrator, full=False, tracking=True, limits=None):
     return Problem(task.dynamics, cost, task.x0, task.first_guess, limits=limits)
 
 
-def engines(task):
-    ours = acquire_engine(task)
-    assert type(ours) is CompiledEngine
-    return ours, NumpyEngine(task)
-
-
 @machines(12, max_dofs=14, max_bodies=5, integrator=st.sampled_from(INTEGRATORS))
 def test_both_engines_do_the_same(text, seed, integrator):
     task = task_with(text, seed, integrator)
-    ours, twin = engines(task)
-    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-11)
-    a, b = (engine.sweep(0.0, True) for engine in (ours, twin))
-    assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-9)
-    assert relative_error(ours.gradient(), twin.gradient()) < 1e-10
-    a, b = (
-        engine.iterate(True, line_search.ARMIJO, 0.0, False, cost, 0.0, -1.0)
-        for engine, cost in zip((ours, twin), costs, strict=True)
-    )
-    assert (a.kind, a.step) == (b.kind, b.step)
-    assert a.cost == pytest.approx(b.cost, rel=1e-9)
+    assert_same_iterations(both_engines(task), task, [True])
 
 
 @machines(12, max_dofs=14, max_bodies=5)
@@ -114,7 +98,7 @@ def test_the_kernels_model_is_the_twins(text, seed):
     for kind in KINDS:
         term = some_cost(rng, task.dynamics, task.N, kind)
         one = Problem(task.dynamics, task.cost + term, task.x0, task.first_guess)
-        ours, _ = engines(one)
+        ours, _ = both_engines(one)
         ours.start_from_controls(one.x0, one.first_guess)
         ours.sweep(0.0, True)
         w = ours._w
@@ -192,13 +176,11 @@ def test_costs_without_tracking_are_compiled(arm):
     still = {"velocity": np.zeros(3), "velocity_weight": 1.0}
     path = FrameCost(arm, "tip", position=(0.2, 0.0, -1.9), position_weight=1.0, **still)
     task = Problem(arm, path, np.zeros(4), horizon=N)
-    ours, twin = engines(task)
-    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
-    assert isinstance(acquire_engine(task), CompiledEngine)
-    a, b = (engine.sweep(1e-3, True) for engine in (ours, twin))
+    engines = both_engines(task)
+    cost, _ = begun(engines, task)
+    a, b = (engine.sweep(1e-3, True) for engine in engines)
     assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-9)
-    assert planner.solve(task, max_iterations=20).cost < costs[0]
+    assert planner.solve(task, max_iterations=20).cost < cost
 
 
 def test_a_users_own_term_is_added_in_numpy(arm):
@@ -218,7 +200,7 @@ def test_bounds_and_weights_may_change_between_iterations(arm):
     """What an augmented Lagrangian does: the engine goes on with other numbers as if it had been made with them."""
     task, other = reach(arm), reach(arm)
     place = other.cost.costs[1].residual_arrays_for(N)
-    ours, theirs = (engines(one)[0] for one in (task, other))
+    ours, theirs = (both_engines(one)[0] for one in (task, other))
     for engine, one in ((ours, task), (theirs, other)):
         engine.start_from_controls(one.x0, one.first_guess)
         engine.sweep(0.0, True)
@@ -233,9 +215,8 @@ def test_bounds_and_weights_may_change_between_iterations(arm):
         arm, "tip", position=[[0.5, 0.0, -1.2]] * (N + 1), position_weight=weight,
         final_position_weight=[1e3, 0.0, 1e3],
     )  # fmt: skip
-    fresh = engines(Problem(arm, held(arm) + moved, np.zeros(4), horizon=N))[0]
-    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, fresh)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-13)
+    fresh = both_engines(Problem(arm, held(arm) + moved, np.zeros(4), horizon=N))[0]
+    costs = begun((ours, fresh), task)
     a, b = (engine.iterate(True, line_search.ARMIJO, 0.0, True, costs[0], 0.0, -1.0) for engine in (ours, fresh))
     assert a.cost == pytest.approx(b.cost, rel=1e-12)
     np.testing.assert_allclose(ours.gradient(), fresh.gradient(), rtol=0, atol=1e-12 * np.abs(fresh.gradient()).max())
@@ -283,7 +264,7 @@ def test_logarithms_at_every_angle(angle):
     goals = {"orientation": [1, 0, 0, 0], "pose": [*place, 1, 0, 0, 0]}
     for kind, target in goals.items():
         term = FrameCost(dynamics, "hand", **{kind: target, f"final_{kind}_weight": 1.0})
-        engine = engines(Problem(dynamics, term, x0, horizon=1))[0]
+        engine = both_engines(Problem(dynamics, term, x0, horizon=1))[0]
         phi = angle * axis
         hand = planner.dynamics.frame_pose(ball, q, "hand")[:3, 3]
         # SE(3): exp of (rho, phi) has the translation V rho with V = Jl(phi), so that rho = Jl^-1 (hand - place)
@@ -340,6 +321,4 @@ def test_what_acts_on_the_joints_leaves_the_frames_where_they_are(change):
     cost = held(dynamics) + FrameCost(dynamics, "tip", **target)
     cost = cost + CenterOfMassCost(dynamics, np.zeros(3), position_weight=2.0)
     task = Problem(dynamics, cost, np.zeros(4), np.tile([3.0, -1.0], (N, 1)))
-    ours, twin = engines(task)
-    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-10)
+    begun(both_engines(task), task)

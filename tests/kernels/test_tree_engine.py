@@ -7,11 +7,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from engines import assert_same_iterations, both_engines
 from hypothesis import assume
 from hypothesis import strategies as st
 from numba.core.runtime import _nrt_python, rtsys
 from solves import Plain, assert_consistent, assert_stationary, numpy_twin, rollout, same_bits
-from trees import CHAINS, actuated, chain, drawn, machines, problem, relative_error
+from trees import CHAINS, actuated, chain, drawn, machines, problem
 
 import planner
 from planner import Problem, Status, TrackingCost
@@ -44,27 +45,7 @@ def example(name, integrator="semi-implicit-euler", N=12, seed=0):
           feedback=st.booleans())  # fmt: skip
 def test_both_engines_do_the_same(text, seed, integrator, full, feedback):
     task = drawn(text, seed, integrator, full)
-    ours, twin = CompiledEngine(task, task.dynamics, task.cost), NumpyEngine(task)
-    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-11)
-    assert ours.largest_control_weight == pytest.approx(twin.largest_control_weight)
-    first = None
-    for mu in (0.0, 0.1, 0.0):
-        a = ours.iterate(feedback, line_search.ARMIJO, mu, True, costs[0], 0.0, -1.0)
-        b = twin.iterate(feedback, line_search.ARMIJO, mu, True, costs[1], 0.0, -1.0)
-        first = first or b
-        # Gradients are small differences of large terms near a minimum: compared beside what they were at first.
-        assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-8, abs=1e-9 * first.gradient_norm)
-        assert a.slope == pytest.approx(b.slope, rel=1e-8, abs=1e-12 * abs(first.slope))
-        assert relative_error(ours.gains(), twin.gains()) < 1e-8
-        if abs(b.slope) < 1e-10 * b.cost:  # at the minimum, where rounding decides
-            break
-        assert (a.kind, a.step) == (b.kind, b.step)
-        assert a.expected == pytest.approx(b.expected, rel=1e-7)
-        assert a.cost == pytest.approx(b.cost, rel=1e-9)
-        for mine, other in zip(ours.trajectory(), twin.trajectory(), strict=True):
-            assert relative_error(mine, other) < 1e-8
-        costs = [a.cost, b.cost]
+    assert_same_iterations(both_engines(task), task, [feedback] * 3, mus=(0.0, 0.1, 0.0))
 
 
 @machines(8, max_dofs=14, max_bodies=5, integrator=st.sampled_from(INTEGRATORS))
@@ -255,16 +236,7 @@ def test_a_candidate_that_runs_away_is_not_taken():
 def test_candidates_that_are_given_up_do_not_change_the_step(rule):
     """A rollout ends where no candidate can win any more; the NumPy engine rolls each of them out to the end."""
     task = example("body in space", "rk4", N=60)
-    ours, twin = CompiledEngine(task, task.dynamics, task.cost), NumpyEngine(task)
-    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
-    steps = []
-    for _ in range(6):
-        a = ours.iterate(True, rule, 0.0, True, costs[0], 0.0, -1.0)
-        b = twin.iterate(True, rule, 0.0, True, costs[1], 0.0, -1.0)
-        assert a.step == b.step
-        assert a.cost == pytest.approx(b.cost, rel=1e-7)
-        steps.append(a.step)
-        costs = [a.cost, b.cost]
+    steps = assert_same_iterations(both_engines(task), task, [True] * 6, rule=rule, within=1e-6)
     assert 0.0 < min(steps) < 2.0 ** -(WIDTH - 1)  # all candidates of a first batch were given up
 
 

@@ -2,21 +2,12 @@
 
 import numpy as np
 import pytest
+from solves import pendulum, pendulum_jacobian
 
 import planner
 from planner import FunctionDynamics, Limits, Mechanism, PlannerError, Problem, RigidBodyDynamics, TrackingCost
 
 COORDINATES = [("angle", "rad"), ("speed", "rad/s")]
-
-
-def pendulum(x, u):
-    return np.stack([x[..., 1], u[..., 0] - 9.81 * np.sin(x[..., 0])], axis=-1)
-
-
-def jacobian(x, u, gravity=9.81):
-    fx, fu = np.zeros((len(x), 2, 2)), np.zeros((len(x), 2, 1))
-    fx[:, 0, 1], fx[:, 1, 0], fu[:, 1, 0] = 1.0, -gravity * np.cos(x[:, 0]), 1.0
-    return fx, fu
 
 
 def dynamics_with(own):
@@ -39,7 +30,7 @@ class Quartic:
         return planner.costs.Quadratic(Q, q, R, self.factor * us)
 
 
-def problem_of(own=jacobian, factor=1.0):
+def problem_of(own=pendulum_jacobian, factor=1.0):
     return Problem(dynamics_with(own), Quartic(factor), [0.5, 0.0], horizon=20)
 
 
@@ -50,7 +41,7 @@ def test_right_derivatives_pass():
 
 
 def test_a_wrong_entry_of_the_dynamics_is_named():
-    check = planner.check_derivatives(dynamics_with(lambda x, u: jacobian(x, u, gravity=9.0)))
+    check = planner.check_derivatives(dynamics_with(lambda x, u: pendulum_jacobian(x, u, gravity=9.0)))
     worst = max(check.entries, key=lambda one: one.error)
     assert (worst.of, worst.by) == ("speed, next", "angle")
     assert not check.passed
@@ -154,7 +145,7 @@ def test_a_penalty_that_acts_far_from_the_start_and_beside_others_is_checked():
     """It is zero about the start, and small beside the weight of the end."""
     track = TrackingCost.reach([0.0, 0.0], 20, final=1e6, effort=1.0)
     for factor, right in ((1.0, True), (2.0, False)):
-        check = planner.check_derivatives(Problem(dynamics_with(jacobian), track + Fast(factor), [0.5, 0.0]))
+        check = planner.check_derivatives(Problem(dynamics_with(pendulum_jacobian), track + Fast(factor), [0.5, 0.0]))
         wrong = {(one.of, one.by) for one in check.entries if not one.passed}
         assert check.passed == right, str(check)
         assert wrong <= {("Fast", "speed"), ("Fast", "speed at the end")}
@@ -173,7 +164,5 @@ def test_a_cost_that_is_not_defined_far_from_the_start_is_checked_near_it():
             return planner.costs.Quadratic(Q, q, np.zeros((len(us), 1, 1)), np.zeros_like(us))
 
     for factor, right in ((1.0, True), (2.0, False)):
-        assert (
-            planner.check_derivatives(Problem(dynamics_with(jacobian), Barrier(factor), [0.0, 0.0], horizon=20)).passed
-            == right
-        )
+        problem = Problem(dynamics_with(pendulum_jacobian), Barrier(factor), [0.0, 0.0], horizon=20)
+        assert planner.check_derivatives(problem).passed == right

@@ -6,15 +6,16 @@ from itertools import product
 import numpy as np
 import pytest
 from carts import refuse, write
-from scipy.linalg import block_diag
+from engines import assert_same_iterations, both_engines
 from scipy.optimize import Bounds, NonlinearConstraint, minimize
+from solves import pendulum, reduced_hessian, rollout
 
 import planner
 from planner import FunctionDynamics, Limits, PlannerError, Problem, Status, TrackingCost, cases
 from planner.cases.problem_file import load
 from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine
+from planner.solvers.engine import NumpyEngine
 from planner.solvers.options import SolverOptions
 
 TOLERANCE = 1e-14  # of the cost, that the last model promises
@@ -33,17 +34,6 @@ def bounded():
 @pytest.fixture(scope="module")
 def plan():
     return planner.solve(bounded(), states="line", expected_reduction_tolerance=TOLERANCE)
-
-
-def reduced_hessian(A, B, model):
-    """Of the LQ problem by its controls, (N nu, N nu), with the states as functions of them."""
-    (N, ndx, nu), H = B.shape, block_diag(*model.R)
-    by_u = np.zeros((ndx, N * nu))
-    for n in range(N):
-        by_u = A[n] @ by_u
-        by_u[:, n * nu : (n + 1) * nu] += B[n]
-        H += by_u.T @ model.Q[n + 1] @ by_u
-    return H
 
 
 def by_active_sets(H, h, lower, upper):
@@ -125,24 +115,13 @@ def test_bounds_far_away_change_nothing():
 @pytest.mark.parametrize("feedback", [True, False])
 def test_compiled_and_numpy_engines_take_the_same_steps(integrator, feedback):
     problem = two_link(Limits(control=(-5.0, 4.0), velocity=3.0, final="exact"), 50, integrator=integrator)
-    engines = CompiledEngine(problem, problem.dynamics, problem.cost), NumpyEngine(problem)
-    rng, N = np.random.default_rng(1), problem.N
+    rng = np.random.default_rng(1)
     hinges = problem.trajectory_constraints.zero_penalties()  # of ranges alone
     hinges = hinges._replace(weight=rng.uniform(1.0, 100.0, hinges.weight.shape))
-    costs, us = [], rng.normal(size=(N, 2)) * 4.0
-    for engine in engines:
-        engine.set_penalties(hinges)
-        costs.append(engine.start_from_controls(problem.x0, us))
-    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
-    cost = costs[0]
-    for _ in range(4):
-        ours, theirs = (engine.iterate(feedback, 0, 1e-3, True, cost, 0.0, -1.0) for engine in engines)
-        assert ours.kind == theirs.kind
-        np.testing.assert_allclose(ours[1:], theirs[1:], rtol=1e-7)
-        cost = ours.cost
-    for a, b in zip((*engines[0].trajectory(), engines[0].gains()), (*engines[1].trajectory(), engines[1].gains()),
-                    strict=True):  # fmt: skip
-        np.testing.assert_allclose(a, b, atol=1e-8 * np.abs(b).max())
+    us = rng.normal(size=(problem.N, 2)) * 4.0
+    assert_same_iterations(
+        both_engines(problem), problem, [feedback] * 4, us=us, penalties=hinges, mus=[1e-3] * 4, within=1e-7
+    )
 
 
 def test_the_slope_is_that_of_the_clipped_rollout():
@@ -178,18 +157,16 @@ def test_the_hinge_and_its_derivatives():
         np.testing.assert_allclose(model.Q[n, i], curvature, atol=1e-4)
 
 
-def pendulum(limits, N=20):
+def lifted_pendulum(limits, N=20):
     """A torque-driven pendulum from hanging to 1 rad, small enough for SciPy."""
-    dynamics = FunctionDynamics(
-        lambda x, u: np.stack([x[..., 1], u[..., 0] - 9.81 * np.sin(x[..., 0])], axis=-1), 2, 1, 0.05, "rk4"
-    )
+    dynamics = FunctionDynamics(pendulum, 2, 1, 0.05, "rk4")
     cost = TrackingCost.reach([1.0, 0.0], N, final=[10.0, 10.0], effort=1.0, dt=0.05)
     return Problem(dynamics, cost, np.zeros(2), us=np.full((N, 1), 2.0), limits=limits)
 
 
 def test_an_augmented_lagrangian_against_slsqp():
     limits = Limits(control=4.9, state={1: (-0.1, 1.4)}, final="exact", tolerance=1e-6)
-    problem = pendulum(limits)
+    problem = lifted_pendulum(limits)
     plan = planner.solve(problem, SolverOptions(max_tightenings=0))  # SLSQP knows the knots alone
     assert plan.success
     assert np.abs(plan.xs[-1] - [1.0, 0.0]).max() <= 1e-6
@@ -197,10 +174,7 @@ def test_an_augmented_lagrangian_against_slsqp():
     assert (plan.us == 4.9).any()
 
     def xs(us):
-        found = [problem.x0]
-        for u in us.reshape(-1, 1):
-            found.append(problem.dynamics.step(found[-1][None], u[None])[0])
-        return np.array(found)
+        return rollout(problem, us.reshape(-1, 1))[0]
 
     scipy = minimize(
         lambda us: problem.cost.value(xs(us), us.reshape(-1, 1)), plan.us.ravel() * 0.9, method="SLSQP",
@@ -230,14 +204,14 @@ def test_ranges_and_goal_of_a_mechanism():
 
 def test_limits_that_cannot_be_met_end_in_a_status_with_advice():
     """Nothing moves without torque: the goal stays a radian away."""
-    plan = planner.solve(pendulum(Limits(control=0.01, final="exact")), max_iterations=400)
+    plan = planner.solve(lifted_pendulum(Limits(control=0.01, final="exact")), max_iterations=400)
     assert plan.status in (Status.OUTSIDE_LIMITS, Status.MAX_ITERATIONS)
     assert np.abs(plan.us).max() <= 0.01
     assert "more time" in Status.OUTSIDE_LIMITS.value
 
 
 def test_a_first_guess_outside_is_clipped():
-    problem = replace(pendulum(Limits(control=1.0)), us=np.full((20, 1), 50.0))
+    problem = replace(lifted_pendulum(Limits(control=1.0)), us=np.full((20, 1), 50.0))
     assert np.abs(planner.solve(problem, max_iterations=1).us).max() <= 1.0
 
 

@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from carts import arm, cart, refuse, write
-from gradients import assert_gradients
+from engines import assert_same_iterations, both_engines
+from gradients import assert_gradients, assert_step_derivatives
 from scipy.linalg import block_diag
+from solves import rollout
 from trees import CHAINS, driven, random_state
 
 import planner
 from planner import Limits, PlannerError, RigidBodyDynamics, cases
 from planner.cases.problem_file import load
 from planner.costs import EnergyCost, JerkCost, TrackingCost
-from planner.kernels.lq import line_search
 from planner.problem.costs.jerk import JerkDynamics
 from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk
 from planner.problem.objective import (
@@ -26,7 +27,6 @@ from planner.problem.problem import Problem
 from planner.problem.problem_parts import durations_or_default, weights_of
 from planner.proof.consistency import consistency, recomputed
 from planner.solvers import lq
-from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 
 SCALES = [np.pi / 2.0 / 2.0**order for order in range(3)]
 """Of the arm's way to upright in 2 s: rad, rad/s, rad/s^2."""
@@ -77,17 +77,9 @@ def test_an_added_state_is_the_same_cost():
 
 def test_added_state_jacobians():
     dynamics, _, _, rng = driven(CHAINS["body in space"], 6, 1)
-    lifted, h = JerkDynamics(dynamics), 1e-6
-    x, us = random_state(dynamics.space, rng, unnormalized=False), rng.normal(size=(1, dynamics.nu))
-    ys = np.concatenate([x, rng.normal(size=2 * dynamics.mechanism.nv)])[None].repeat(2, axis=0)
-    A, B = lifted.linearize(ys, us)
-    space = lifted.space
-    for i, d in enumerate(h * np.eye(lifted.ndx)):
-        ends = [lifted.step(space.integrate(ys[:1], s * d), us) for s in (1.0, -1.0)]
-        np.testing.assert_allclose(space.difference(*ends)[0] / (2 * h), A[0, :, i], rtol=1e-5, atol=1e-5)
-    for i, d in enumerate(h * np.eye(lifted.nu)):
-        ends = [lifted.step(ys[:1], us + s * d) for s in (1.0, -1.0)]
-        np.testing.assert_allclose(space.difference(*ends)[0] / (2 * h), B[0, :, i], rtol=1e-5, atol=1e-5)
+    x, u = random_state(dynamics.space, rng, unnormalized=False), rng.normal(size=dynamics.nu)
+    y = np.concatenate([x, rng.normal(size=2 * dynamics.mechanism.nv)])
+    assert_step_derivatives(JerkDynamics(dynamics), y, u)
 
 
 @pytest.mark.parametrize(("name", "integrator"), [
@@ -99,19 +91,8 @@ def test_least_jerk_is_compiled_and_does_what_numpy_does(name, integrator):
     limits = Limits(control=2.0)
     given = Problem(dynamics, cost, xs[1], us[:8], limits=limits)
     problem = solver_problem(with_objective(given, {"effort": 1.0, "jerk": 1e-4}))
-    ours, twin = acquire_engine(problem), NumpyEngine(problem)
-    assert isinstance(ours, CompiledEngine)
-    first = [engine.start_from_controls(problem.x0, problem.first_guess) for engine in (ours, twin)]
-    assert first[0] == pytest.approx(first[1], rel=1e-10)
-    a, b = (
-        engine.iterate(True, line_search.ARMIJO, 0.0, True, J, 0.0, -1.0)
-        for engine, J in zip((ours, twin), first, strict=True)
-    )
-    assert (a.kind, a.step) == (b.kind, b.step)
-    assert a.cost == pytest.approx(b.cost, rel=1e-8)
-    np.testing.assert_allclose(
-        ours.gains(), twin.gains(), atol=1e-7 * np.abs(twin.gains()).max()
-    )  # sums by another order
+    ours, twin = both_engines(problem)
+    assert_same_iterations((ours, twin), problem, [True], within=1e-7)
     ends = [engine.set_trajectory(*twin.trajectory()) for engine in (ours, twin)]  # defects: none along a rollout
     np.testing.assert_allclose(*ends, atol=1e-9 * (1.0 + np.abs(twin.trajectory()[0]).max()))
 
@@ -227,12 +208,7 @@ def test_finer_steps_keep_the_objective():
     assert (twice.N, twice.objective.weights) == (40, problem.objective.weights)
     us = np.random.default_rng(1).normal(size=(20, 2))
     held = np.repeat(us, 2, axis=0)
-    ends = []
-    for p, controls in ((problem, us), (twice, held)):
-        xs = [p.x0]
-        for u in controls:
-            xs.append(p.dynamics.step(xs[-1][None], u[None])[0])
-        ends.append(p.cost.value(np.array(xs), controls))
+    ends = [p.cost.value(*rollout(p, controls)) for p, controls in ((problem, us), (twice, held))]
     assert ends[0] == pytest.approx(ends[1], rel=1e-2)  # the same integrals, at half the stage
 
 

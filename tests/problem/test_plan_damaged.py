@@ -1,14 +1,13 @@
 """Whatever stands in the meta of a plan file, reading it ends with a plan or with one sentence."""
 
-import json
 import math
 import os
 import zipfile
 from itertools import islice
 
-import numpy as np
 import pytest
 from places import ROOT
+from plan_files import contents, written
 
 import planner
 from planner.base.errors import FileError, ModelError
@@ -37,15 +36,8 @@ def stored(tmp_path_factory):
     }
     result = {}
     for name, problem in problems.items():
-        with np.load(planner.solve(problem, max_iterations=1).save(folder / f"{name}.npz")) as file:
-            arrays = dict(file)
-        result[name] = arrays, json.loads(str(arrays["meta"]))
+        result[name] = contents(planner.solve(problem, max_iterations=1).save(folder / f"{name}.npz"))
     return result
-
-
-def written(path, arrays, meta):
-    np.savez(path, **(arrays | {"meta": np.array(json.dumps(meta))}))
-    return path
 
 
 def changes(meta, values=VALUES):

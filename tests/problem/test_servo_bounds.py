@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from engines import assert_same_iterations, both_engines
 
 import planner
 from planner import Limits, Mechanism, Problem, RigidBodyDynamics, TrackingCost
@@ -161,20 +162,8 @@ def test_the_slope_is_that_of_the_clipped_rollout():
 @pytest.mark.parametrize("feedback", [True, False])
 def test_compiled_and_numpy_engines_take_the_same_steps(integrator, feedback):
     problem = arm(integrator)
-    engines = CompiledEngine(problem, problem.dynamics, problem.cost), NumpyEngine(problem)
     us = np.random.default_rng(1).normal(size=(40, 2)) * 2.0
-    costs = [engine.start_from_controls(problem.x0, us) for engine in engines]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
-    cost = costs[0]
-    for _ in range(5):
-        ours, theirs = (engine.iterate(feedback, 0, 1e-3, True, cost, 0.0, -1.0) for engine in engines)
-        assert ours.kind == theirs.kind
-        np.testing.assert_allclose(ours[1:], theirs[1:], rtol=1e-6)
-        cost = ours.cost
-    for a, b in zip((*engines[0].trajectory(), engines[0].gains()), (*engines[1].trajectory(), engines[1].gains()),
-                    strict=True):  # fmt: skip
-        np.testing.assert_allclose(a, b, atol=1e-7 * np.abs(b).max())
-    np.testing.assert_allclose(engines[0].gradient(), engines[1].gradient(), atol=1e-7 * np.abs(cost))
+    assert_same_iterations(both_engines(problem), problem, [feedback] * 5, us=us, mus=[1e-3] * 5, within=1e-6)
 
 
 def test_a_force_that_ctrlrange_cannot_reach_takes_its_nearest_end():

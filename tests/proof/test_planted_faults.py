@@ -1,11 +1,11 @@
 """Every fault that is planted, in a model, a plan or its file, is found and named."""
 
-import json
 import zipfile
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from plan_files import contents, written
 
 import planner
 from planner import cases
@@ -146,14 +146,10 @@ def stored(small, tmp_path_factory):
 
 def rewritten(stored, tmp_path, arrays=lambda a: None, meta=lambda m: None):
     """The file with arrays and meta changed by hand, as a script or an editor would."""
-    with np.load(stored) as file:
-        content = {name: file[name].copy() for name in file.files}
-    facts = json.loads(str(content["meta"]))
+    content, facts = contents(stored)
     arrays(content)
     meta(facts)
-    content["meta"] = np.array(json.dumps(facts))
-    np.savez(tmp_path / "plan.npz", **content)
-    return tmp_path / "plan.npz"
+    return written(tmp_path / "plan.npz", content, facts)
 
 
 def scaled(name, factor):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from places import ROOT
+from solves import pendulum
 
 import planner
 from planner import FunctionDynamics, Mechanism, Problem, RigidBodyDynamics, TrackingCost
@@ -101,10 +102,6 @@ def test_a_machine_of_our_own_parts_is_rebuilt(stored):
         assert np.array_equal(getattr(plan.problem.cost, name), getattr(made.cost, name))
     assert plan.problem.dynamics.integrator == "rk4"
     assert np.array_equal(plan.problem.x0, made.x0)
-
-
-def pendulum(x, u):
-    return np.stack([x[..., 1], u[..., 0] - 9.81 * np.sin(x[..., 0])], axis=-1)
 
 
 def own_python():

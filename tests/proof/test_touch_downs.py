@@ -1,6 +1,5 @@
 """Touch-downs: when feet of a plan land, the rule by which the stage waits for them, and who keeps to it."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from places import ROOT
+from plan_files import contents, written
 
 import planner
 from planner.base.gl import load_mujoco
@@ -235,13 +235,12 @@ def test_a_controller_takes_what_switches_tell(dropped):
 
 def test_the_file_has_the_rule(dropped, tmp_path):
     dropped.save(tmp_path / "plan.npz")
-    with np.load(tmp_path / "plan.npz") as file:
-        meta, arrays = json.loads(str(file["meta"])), {name: file[name] for name in file.files}
+    arrays, meta = contents(tmp_path / "plan.npz")
     assert meta["format_version"] == FORMAT_VERSION
     assert meta["touch_downs"] == [one.to_dict() for one in dropped.touch_downs]
     assert planner.load_plan(tmp_path / "plan.npz").touch_downs == dropped.touch_downs
     meta["touch_downs"][0]["stage"] = "soon"
-    np.savez(tmp_path / "damaged.npz", **(arrays | {"meta": np.array(json.dumps(meta))}))
+    written(tmp_path / "damaged.npz", arrays, meta)
     with pytest.raises(planner.PlannerError, match="touch_downs"):
         planner.load_plan(tmp_path / "damaged.npz")
 

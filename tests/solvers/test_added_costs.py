@@ -5,14 +5,14 @@ import time
 import numpy as np
 import pytest
 from arms import mechanism
+from engines import assert_same_iterations, both_engines
 from hypothesis import strategies as st
-from trees import drawn, machines, relative_error
+from trees import drawn, machines
 
 import planner
 from planner import Constraint, FrameCost, Limits, Problem
 from planner.costs import Quadratic
 from planner.kernels.integrators import INTEGRATORS
-from planner.kernels.lq import line_search
 from planner.solvers.engine import ConstrainedEngine, HybridEngine, NumpyEngine, acquire_engine
 from planner.solvers.options import LINE_SEARCHES
 
@@ -57,23 +57,8 @@ def test_both_engines_do_the_same(text, seed, integrator, full):
     limits = Limits(control=2.0) if rng.random() < 0.3 else None
     kept = [Constraint(lambda xs: xs[:, -1], lower=-1.0, when=(task.dynamics.dt, 1e9))] if rng.random() < 0.3 else ()
     task = Problem(dynamics, task.cost + own, task.x0, task.first_guess, limits=limits, constraints=kept)
-    ours, twin = acquire_engine(task), NumpyEngine(task)
-    assert isinstance(ours, ConstrainedEngine if kept else HybridEngine)
-    costs = [engine.start_from_controls(task.x0, task.first_guess) for engine in (ours, twin)]
-    assert costs[0] == pytest.approx(costs[1], rel=1e-10)
-    assert ours.largest_control_weight == pytest.approx(twin.largest_control_weight, rel=1e-12)
-    for feedback in (True, False):
-        a, b = (
-            engine.iterate(feedback, line_search.ARMIJO, 0.0, True, cost, 0.0, -1.0)
-            for engine, cost in zip((ours, twin), costs, strict=True)
-        )
-        if abs(b.slope) < 1e-8 * (1.0 + abs(b.cost)):  # at the minimum, where rounding decides
-            break
-        assert (a.kind, a.step) == (b.kind, b.step)
-        assert a.cost == pytest.approx(b.cost, rel=1e-8)
-        assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-7)
-        assert relative_error(ours.gains(), twin.gains()) < 1e-7
-        costs = [a.cost, b.cost]
+    engines = both_engines(task, ConstrainedEngine if kept else HybridEngine)
+    assert_same_iterations(engines, task, [True, False], within=1e-7)
 
 
 def arm(own):

@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
+from engines import assert_same_iterations, both_engines
 from hypothesis import strategies as st
-from trees import drawn, machines, relative_error
+from trees import drawn, machines
 
 from planner import Constraint, Limits, Mechanism, Problem, RigidBodyDynamics
 from planner.constraints import CenterOfMass, FrameAxisAngle, FrameOrientation, FramePosition, Power
 from planner.costs import Distance, Height, Point, Segment, Velocity
 from planner.kernels.integrators import INTEGRATORS
-from planner.kernels.lq import line_search
 from planner.problem.constraints.constraint import residual_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
-from planner.solvers.engine import ConstrainedEngine, NumpyEngine, acquire_engine
+from planner.solvers.engine import ConstrainedEngine
 
 TOLERANCE = {"tolerance": 1e-3}
 
@@ -67,23 +67,9 @@ def test_both_engines_do_the_same(text, seed, integrator, full):
     limits = Limits(control=2.0) if rng.random() < 0.3 else None
     constraints = later(of_all_kinds(rng, task.dynamics), task)
     task = Problem(task.dynamics, task.cost, task.x0, task.first_guess, limits=limits, constraints=constraints)
-    hinges, ours, twin = hinged(rng, task.trajectory_constraints), acquire_engine(task), NumpyEngine(task)
-    assert isinstance(ours, ConstrainedEngine)
-    costs = []
-    for engine in (ours, twin):
-        engine.set_penalties(hinges)
-        costs.append(engine.start_from_controls(task.x0, task.first_guess))
-    assert costs[0] == pytest.approx(costs[1], rel=1e-10)
-    a, b = (engine.sweep(0.0, True) for engine in (ours, twin))
-    assert a.gradient_norm == pytest.approx(b.gradient_norm, rel=1e-8)
-    assert relative_error(ours.gradient(), twin.gradient()) < 1e-9
-    a, b = (
-        engine.iterate(True, line_search.ARMIJO, 0.0, True, cost, 0.0, -1.0)
-        for engine, cost in zip((ours, twin), costs, strict=True)
-    )
-    assert (a.kind, a.step) == (b.kind, b.step)
-    assert a.cost == pytest.approx(b.cost, rel=1e-8)
-    assert relative_error(ours.gains(), twin.gains()) < 1e-7
+    engines = both_engines(task, ConstrainedEngine)
+    hinges = hinged(rng, task.trajectory_constraints)
+    assert_same_iterations(engines, task, [True], penalties=hinges, within=1e-7)
 
 
 @machines(12, max_dofs=10, max_bodies=4)

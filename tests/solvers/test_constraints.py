@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from solves import rollout
 
 import planner
 from planner import Constraint, FunctionDynamics, Limits, PlannerError, Problem, Status, TrackingCost, prove, solve
@@ -40,13 +41,6 @@ THERE = Constraint(lambda xs: xs[:, :2], equal=[1.0, 1.0], when="end", name="the
 TASKS = {"post": [POST], "power": [POWER], "there": [THERE], "all": [POST, POWER, THERE]}
 
 
-def rolled(problem, us):
-    xs = [problem.x0]
-    for u in us:
-        xs.append(problem.dynamics.step(xs[-1][None], u[None])[0])
-    return np.array(xs)
-
-
 def worst(problem, plan):
     """(value, allowed) of each constraint."""
     found = problem.trajectory_constraints.rows.violations(plan.xs, plan.us)
@@ -62,7 +56,7 @@ def test_scipy_finds_no_better_plan_that_keeps_the_constraints(task):
 
     def flat(z):
         us = z.reshape(N, 2)
-        return rolled(problem, us), us
+        return rollout(problem, us)
 
     def at_least_zero(z):
         xs, us = flat(z)
@@ -97,7 +91,7 @@ def test_conditions_of_karush_kuhn_and_tucker(task):
     h = 1e-6
 
     def lagrangian(us):
-        xs = rolled(problem, us)
+        xs, _ = rollout(problem, us)
         return problem.cost.value(xs, us) + np.sum(together * rows.values(xs, us))
 
     gradient = np.zeros_like(plan.us)

@@ -122,6 +122,41 @@ def test_shaken_controls_that_lead_nearer_are_kept_before_they_converge():
     assert np.array_equal(plan.us, nearer.us)
 
 
+def parking(**limits):
+    """A car with its axle 1 m behind, from rest to 2 m aside: its first guess, at rest, is a saddle."""
+
+    def rate(x, u):
+        heading, speed = x[..., 2], x[..., 3]
+        return np.stack([speed * np.cos(heading), speed * np.sin(heading), speed * np.tan(u[..., 0]), u[..., 1]], -1)
+
+    names = [("x", "m"), ("y", "m"), ("heading", "rad"), ("speed", "m/s")]
+    car = planner.FunctionDynamics(rate, nx=4, nu=2, dt=0.1, coordinates=names)
+    goal = TrackingCost.reach(goal=[0.0, 2.0, 0.0, 0.0], horizon=50, final=100.0, effort=[1.0, 1.0], dt=0.1)
+    return Problem(car, goal, x0=[0.0, 0.0, 0.0, 0.0], limits=Limits(**limits))
+
+
+def test_the_cheapest_plan_of_other_guesses_is_kept_though_it_lacks_weight():
+    plan = planner.solve(parking(control=1.0))
+    steps = plan.options["relaxation"]["steps"]
+    assert [step[6] for step in steps] == [False] * len(steps)  # each misses a goal
+    cheapest = min(step[3] for step in steps)
+    assert plan.cost == cheapest
+    assert cheapest < 0.1 * steps[0][3]
+
+
+def test_a_guess_that_was_cut_goes_on_if_none_converges_at_less():
+    problem = swing_up(4.0)
+    cut, solved = planner.solve(problem, DIRECT, max_iterations=2), planner.solve(problem, DIRECT)
+    outside = replace(cut, status=Status.OUTSIDE_LIMITS, us=np.zeros_like(cut.us))
+
+    def solve_one(_problem, _options, _states, _penalties, us, *_):
+        return solved if us is cut.us else cut
+
+    plan, record = relax(problem, outside, solve_one, DIRECT.for_problem(problem), None)
+    assert np.array_equal(plan.us, solved.us)
+    assert record["steps"][-1][0] == "resumed"
+
+
 def test_the_factor_that_was_reached_passes_too(weak):
     assert planner.solve(swing_up(2.0, 5.0 * weak.options["relaxation"]["factor"] * 1.01)).success
 

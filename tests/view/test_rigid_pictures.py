@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from films import changed
 from rolled_out_plans import LIMITED, TREE, acrobot, problem_of, rolled_out
 
 import planner
@@ -17,10 +18,6 @@ from planner.view.render.camera import between_words, directions, standing_back
 from planner.view.render.film import Film
 from planner.view.render.overlay import Overlay, Words
 from planner.view.render.scene import Scene
-
-
-def changed(a, b):
-    return int(np.sum(np.abs(a.astype(int) - b.astype(int)).max(axis=-1) > 8))
 
 
 def test_a_stage_nobody_wrote_names_joints_and_looks_across_the_plane():

@@ -294,12 +294,14 @@ def _built(
     x0, goal, stops = off_stops(mechanism, table, x0, goal)
     x0, goal, notes = at_rest_on_stops(mechanism, table, x0, goal, notes)
     build = partial(again, mechanism, *constraints)
-    ramp = None if tasked or steps_of(table, mechanism) else stance_ramp(mechanism, table, x0, goal)
+    gait = steps_of(table, mechanism)
+    ramp = None if tasked or gait else stance_ramp(mechanism, table, x0, goal)
     if ramp is not None:
         mechanism = with_ramp(mechanism, ramp)
         x0, goal, _ = place_on_ground(mechanism, table, x0, goal)  # it stands elsewhere by a part of the ramp
     prescribed = prescribed_of(table, mechanism)
-    table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal))
+    leaps = gait is not None and gait.always_stands and cycle is None  # the errors of a cycle come round again
+    table, substeps, reasons = with_step(table, mechanism, prescribed, (x0, goal), leaps)
     table, N = checked_values(table)
     dynamics = RigidBodyDynamics(mechanism, table["dt"], table["integrator"], prescribed, substeps)
     if told:

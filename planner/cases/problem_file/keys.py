@@ -42,7 +42,8 @@ KEYS = {
     "exclude": "list of pairs of bodies or shapes that do not touch each other, whatever the model says",
     "duration": "s",
     "dt": "length of a stage, s, or auto: 0.01, less where the machine is stiff, a whole part of the duration",
-    "integrator": f"one of {', '.join(KNOWN_INTEGRATORS)}, or auto: rk4, or {' or '.join(_IMPLICIT)} for fast damping",
+    "integrator": f"one of {', '.join(KNOWN_INTEGRATORS)}, or auto: rk4, leapfrog for gaits, or "
+    f"{' or '.join(_IMPLICIT)} for fast damping",
     "substeps": "in a stage: 1 to 16, or auto: as many as the machine's fastest motion needs",
     "guess": "first controls: line (straight to the goal in joint space, by inverse dynamics), collision-free (a "
     "path that keeps its distance from what is avoided), tracking (feedback gains along that line), hold (the start "

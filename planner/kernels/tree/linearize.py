@@ -11,7 +11,7 @@ from __future__ import annotations
 from planner.kernels.algebra.rotations import carried, right_jacobian_times
 from planner.kernels.algebra.spatial import store3
 from planner.kernels.algebra.tiles import four_rows
-from planner.kernels.integrators import MAX_STAGES, ROSENBROCK, RUNGE_KUTTA, SEMI_IMPLICIT_EULER
+from planner.kernels.integrators import LEAPFROG, MAX_STAGES, ROSENBROCK, RUNGE_KUTTA, SEMI_IMPLICIT_EULER
 from planner.kernels.numba.jit import inline, jit, part
 from planner.kernels.numba.lane_math import transpose
 from planner.kernels.numba.lanes import (
@@ -39,6 +39,7 @@ from planner.kernels.tree.integrator_chain_rule import (
     runge_kutta,
     turn_balls,
 )
+from planner.kernels.tree.leapfrog import end_rates, half_way, leapfrog, whole_way
 from planner.kernels.tree.loop_projection import POSITIONS, VELOCITIES, step_derivatives
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
@@ -236,6 +237,30 @@ def _rosenbrock_substep(m, r, x, a, dt, width, knots, external):
             store(act, i, load(act, i) + 0.5 * length * (load(rates, i) + load(rates, na + i)))
 
 
+@part
+def _leapfrog_substep(m, r, x, a, dt, width, knots, external):
+    """(B | A) of a substep of kernels.tree.leapfrog, chained to those before; x moves to its end."""
+    F, stride, present, k, length = knots
+    nq, nv, q, theta = m[TREE.nq], m[TREE.nv], lanes(r, MEMORY.q_stage), lanes(r, MEMORY.theta)
+    act_stage, rates = lanes(r, MEMORY.act_stage), lanes(r, MEMORY.act_rates)
+    activation_rates(m, lanes(r, MEMORY.u), at(x, nq + nv), rates)
+    half_way(m, r, x, rates, length)
+    keep_turns(m, r, 0)
+    moved(m, x, theta, q)
+    _stage_derivatives(m, r, 0, (q, at(x, nq), act_stage, a), present, width, external)
+    whole_way(m, r, x, a, length)
+    keep_turns(m, r, MAX_STAGES)
+    for lane in range(present):
+        if k == 0:
+            leapfrog(m, r, dt, lane, width, at(F, lane * stride))
+        else:
+            leapfrog(m, r, dt, lane, width, floats(r, MEMORY.step))
+            _after(m, r, width, at(F, lane * stride))
+    if k + 1 < r[MEMORY.substeps]:
+        moved(m, x, theta, x)
+        end_rates(m, x, a, rates, length, x)
+
+
 @jit
 def linearize_dense(m, r, dt, xs, us, F, external):
     """F = (B | A) (N, ndx, width) along xs (N+1, nx), us (N, nu)."""
@@ -250,9 +275,12 @@ def linearize_dense(m, r, dt, xs, us, F, external):
         v = at(x, m[TREE.nq])
         for k in range(r[MEMORY.substeps]):
             a = at(lanes(r, MEMORY.a), k * r[MEMORY.stages] * r[MEMORY.stride])
+            knots = (at(flat, first * stride), stride, present, k, length)
             if external is not None and r[MEMORY.integrator] == ROSENBROCK:
-                knots = (at(flat, first * stride), stride, present, k, length)
                 _rosenbrock_substep(m, r, x, a, dt, width, knots, external)
+                continue
+            if r[MEMORY.integrator] == LEAPFROG:
+                _leapfrog_substep(m, r, x, a, dt, width, knots, external)
                 continue
             for i in range(r[MEMORY.stages]):
                 if i == 0:
@@ -264,7 +292,7 @@ def linearize_dense(m, r, dt, xs, us, F, external):
                     state = (lanes(r, MEMORY.q_stage), at(v_stages, i * nv), act, at(a, i * r[MEMORY.stride]))
                     _stage_derivatives(m, r, i, state, present, width, external)
             if r[MEMORY.integrator] == RUNGE_KUTTA:
-                _runge_kutta_substep(m, r, x, a, dt, width, (at(flat, first * stride), stride, present, k, length))
+                _runge_kutta_substep(m, r, x, a, dt, width, knots)
                 continue
             for i in range(nv):
                 later = dt * load(a, i) if r[MEMORY.integrator] == SEMI_IMPLICIT_EULER else spread(0.0)

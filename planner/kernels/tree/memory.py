@@ -63,7 +63,7 @@ class TreeMemory:
         self._arrays["Xa"] = np.zeros(4 * na + 1)
         blocks = block if linearizing else 0
         self._arrays["direct"] = lane_array(stages * WIDTH * blocks + slack)
-        self._arrays["chained"] = lane_array((stages if stages > 1 else 0) * blocks + slack)
+        self._arrays["chained"] = lane_array((stages if integrator.has_substeps else 0) * blocks + slack)
         whole = padded(2 * nv + na) * (columns - WIDTH) if linearizing and substeps > 1 else 0  # (B | A) of a substep
         self._arrays["step"], self._arrays["product"] = lane_array(whole + slack), lane_array(whole + slack)
         behind = WIDTH * ld * ld if linearizing and integrator.form == ROSENBROCK else 0

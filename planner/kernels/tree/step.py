@@ -1,4 +1,4 @@
-"""One stage of a tree on four lanes, by explicit Euler, semi-implicit Euler, Runge-Kutta or a Rosenbrock method.
+"""One stage of a tree on four lanes, by an Euler, Runge-Kutta, Rosenbrock or leapfrog method.
 
 Quaternions follow their rotation vector: Q+ = Q exp(theta). For RK4 to be of fourth order on them, the stages carry
 Munthe-Kaas' commutators (Iserles et al., Acta Numerica 2000, section 6): with K_i = dt omega_i in the body frame,
@@ -13,6 +13,7 @@ from planner.kernels.algebra.rotations import turned
 from planner.kernels.algebra.spatial import cross, load3, store3
 from planner.kernels.integrators import (
     END_TURNED,
+    LEAPFROG,
     LENGTHS,
     MIDDLE,
     ROSENBROCK,
@@ -38,6 +39,7 @@ from planner.kernels.numba.lanes import (
 )
 from planner.kernels.tree.accelerations import accelerations
 from planner.kernels.tree.forces import activation_rates
+from planner.kernels.tree.leapfrog import end_rates, half_way, whole_way
 from planner.kernels.tree.loop_projection import POSITIONS, VELOCITIES, project_to_closure
 from planner.kernels.tree.mechanism_table import BALL, BALL_NEXT, TREE
 from planner.kernels.tree.memory import MEMORY
@@ -163,11 +165,29 @@ def _end_rosenbrock(m, r, x, u, a, dt, x_next, external):
 
 
 @part
+def _leap(m, r, x, u, a, dt, x_next, external):
+    """A step of kernels.tree.leapfrog."""
+    nq, nv, theta, q_stage = m[TREE.nq], m[TREE.nv], lanes(r, MEMORY.theta), lanes(r, MEMORY.q_stage)
+    act_stage, rates = lanes(r, MEMORY.act_stage), lanes(r, MEMORY.act_rates)
+    activation_rates(m, u, at(x, nq + nv), rates)
+    half_way(m, r, x, rates, dt)
+    moved(m, x, theta, q_stage)
+    accelerations(m, r, q_stage, at(x, nq), u, act_stage, a, external)
+    activation_rates(m, u, act_stage, rates)
+    whole_way(m, r, x, a, dt)
+    moved(m, x, theta, x_next)
+    end_rates(m, x, a, rates, dt, x_next)
+
+
+@part
 def _step(m, r, x, u, a, dt, x_next, external):
     """The end x_next of one step of length dt (a V4) from x under u; a (stages * stride) keeps the accelerations."""
     nq, nv, na, integrator = m[TREE.nq], m[TREE.nv], m[TREE.na], r[MEMORY.integrator]
     v, act, theta = at(x, nq), at(x, nq + nv), lanes(r, MEMORY.theta)
     v_next, act_next, rates = at(x_next, nq), at(x_next, nq + nv), lanes(r, MEMORY.act_rates)
+    if integrator == LEAPFROG:
+        _leap(m, r, x, u, a, dt, x_next, external)
+        return
     if external is not None and integrator == ROSENBROCK:
         begin_implicit(m, r, dt)
     accelerations(m, r, x, v, u, act, a, external)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.kernels.algebra.rotations import difference
-from planner.kernels.integrators import RUNGE_KUTTA
+from planner.kernels.integrators import SEMI_IMPLICIT_EULER
 from planner.kernels.lq.line_search import (
     EVALUATE_ONLY,
     INITIAL_ROLLOUT,
@@ -214,8 +214,9 @@ def rollout(w, m, r, search, dt, limit, feedback, external, p, solids):
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), external)
         if with_accelerations:
             _append_accelerations(m, X, at(X_, (n + 1) * nx), length)
-        if p is not None:  # but for Runge-Kutta the stage has left the links where X has them
-            J += residual_cost(m, pointer(p), X, lanes(r, MEMORY.links), n, r[MEMORY.integrator] != RUNGE_KUTTA, solids)
+        if p is not None:  # a stage of an Euler method has left the links where X has them
+            placed = r[MEMORY.integrator] <= SEMI_IMPLICIT_EULER
+            J += residual_cost(m, pointer(p), X, lanes(r, MEMORY.links), n, placed, solids)
         J += control
         if limit < np.inf:
             J = select(J, limit, J, np.inf)

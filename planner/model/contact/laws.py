@@ -116,14 +116,12 @@ class Law:
         """How far before the surfaces touch, or the end of a range, the smoothed force begins, m or rad."""
         return self.margin + self.surface_offset
 
-    def impedance_at(self, depth: Any) -> tuple[Any, Any]:
-        """The impedance d at depths, m or rad, and its derivative."""
+    def impedance_at(self, depth: Any) -> Any:
+        """The impedance d at depths, m or rad."""
         first, last, width, midpoint = self.impedance
         x = np.clip(depth / width, 0.0, 1.0)
-        above = x > midpoint
-        rise = np.where(above, 1.0 - (1.0 - x) ** 2 / (1.0 - midpoint), x**2 / midpoint)
-        slope = 2.0 * np.where(above, (1.0 - x) / (1.0 - midpoint), x / midpoint) / width
-        return first + (last - first) * rise, (last - first) * slope
+        rise = np.where(x > midpoint, 1.0 - (1.0 - x) ** 2 / (1.0 - midpoint), x**2 / midpoint)
+        return first + (last - first) * rise
 
     def rest_depth(self, load: float) -> float:
         """How deep a load, N or N m, presses at rest, m or rad, beyond the ramps.
@@ -138,7 +136,7 @@ def _rest_depth(law: Law, load: float) -> float:
     last = law.impedance[1]
 
     def carried(depth: float) -> float:
-        d = float(law.impedance_at(depth)[0])
+        d = float(law.impedance_at(depth))
         return law.stiffness * depth * (d / last) * (d / (1.0 - d)) * (1.0 - last) / last
 
     low, high = 0.0, load / law.stiffness

@@ -139,6 +139,15 @@ class Gait:
         return min(CLEARANCE, 0.2 * height) if self.lift is None else self.lift
 
     @property
+    def always_stands(self) -> bool:
+        """Whether a foot stands at all times: none leaves the ground while all others swing."""
+        if self.phases:
+            return all(phase.stand for phase in self.phases)
+        turns = np.array(list(self.feet.values()) if self.kind is None else [0.0, 0.5])  # that all kinds have
+        swing = 1.0 - self.times_of(turns)[1]
+        return not any(all((turn - other) % 1.0 < swing for other in turns) for turn in turns)
+
+    @property
     def _begins(self) -> list[float]:
         """s, when each phase begins."""
         return [0.0, *(phase.until for phase in self.phases[:-1])]

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,14 @@ from planner.model.mjcf.contact_shapes import shape_of
 from planner.model.mjcf.model_index import ModelIndex
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.problem import Problem
-from planner.proof.compare.coefficients import Coefficient, compared, measured_of, missing, surface_difference
+from planner.proof.compare.coefficients import (
+    Coefficient,
+    compared,
+    hopper_ground,
+    measured_of,
+    missing,
+    surface_difference,
+)
 from planner.proof.compare.contact_states import (
     AnyContact,
     ContactGeoms,
@@ -45,7 +52,6 @@ from planner.proof.compare.contact_states import (
     wrench_between,
 )
 from planner.proof.compare.differences import joint_of
-from planner.proof.compare.hopper_ground import hopper_ground
 from planner.proof.compare.rigid_parity import random_states
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.simulation import set_state
@@ -76,7 +82,7 @@ def contact_parity(problem: Problem, compiled: CompiledTwin, seed: int = 0) -> t
     """
     dynamics = problem.dynamics
     if isinstance(dynamics, HopperDynamics):
-        return measured_of([compared(*row) for row in hopper_ground(dynamics, compiled, seed)], seed)
+        return measured_of(list(hopper_ground(dynamics, compiled, seed)), seed)
     machine = capabilities_of(dynamics)
     mechanism = machine.mechanism
     if mechanism is None or not (machine.contacts or machine.stops):
@@ -92,6 +98,20 @@ def _starts(problem: Problem, mechanism: Mechanism, seed: int) -> tuple[np.ndarr
     change[1:, : mechanism.nv] = 0.1 * rng.normal(size=(_STATES_NEAR_START - 1, mechanism.nv))
     near = mechanism.space.integrate(np.tile(problem.x0, (_STATES_NEAR_START, 1)), change)
     return near, random_states(mechanism, rng, _STATES_NEAR_START)
+
+
+class _Pressed(NamedTuple):
+    """A contact at one state."""
+
+    sampler: ContactStateSampler
+    shapes: ContactGeoms
+    x: np.ndarray  # (nx,)
+    place: Any  # kinematics of the contact there
+
+    @classmethod
+    def at(cls, sampler: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray) -> _Pressed:
+        """The contact at a state x (nx,)."""
+        return cls(sampler, shapes, x, sampler.place(x[None]))
 
 
 class _Bench:
@@ -130,7 +150,7 @@ class _Bench:
                 continue
             if self._is_like_others(contact, shapes):
                 continue
-            touching, ought_to = [], False
+            touching, ought_to = list[_Pressed](), False
             tries: list[tuple[np.ndarray, np.ndarray | None]] = [(near, None), (anywhere, None)]
             middle = self._middle(contact, shapes)
             if middle is not None:  # the plan's plane is unbounded, the box is not
@@ -141,11 +161,12 @@ class _Bench:
                 ought_to = ought_to or (aim is middle and bool(alone.any()))
                 if pressing.lowest_only:
                     xs = xs[alone]
-                touching += [x for x in xs if self._touches(pressing, shapes, x)]
+                found = (_Pressed.at(pressing, shapes, x) for x in xs)
+                touching += [one for one in found if np.isfinite(self._force(one)).all()]
                 if len(touching) >= STATES or (touching and (starts is anywhere or isinstance(contact, Contact))):
                     break
             known = self._seen.get((shapes.own, shapes.other)) == ""  # the other end of a capsule
-            found = [one for x in touching[: 1 if known else STATES] for one in self._coefficients(pressing, shapes, x)]
+            found = [one for at in touching[: 1 if known else STATES] for one in self._coefficients(at)]
             if found:
                 self._seen[shapes.own, shapes.other] = ""
                 yield from found
@@ -174,72 +195,49 @@ class _Bench:
         box = self._model.geom_type[shapes.other] == int(self._mujoco.mjtGeom.mjGEOM_BOX)
         return self._survey.home.geom_xpos[shapes.other].copy() if box and isinstance(contact, Contact) else None
 
-    def _force(
-        self,
-        pressing: ContactStateSampler,
-        shapes: ContactGeoms,
-        x: np.ndarray,
-        place: Any,
-        qacc: np.ndarray | None = None,
-    ) -> np.ndarray:
+    def _force(self, at: _Pressed, qacc: np.ndarray | None = None) -> np.ndarray:
         """MuJoCo's force and torque (6,) on the contact's first or only body."""
-        self._hold(x, qacc)
-        if not isinstance(pressing.contact, Contact):
-            return wrench_between(self._model, self._data, shapes)
-        return wrench_between(self._model, self._data, shapes, place.p[0], 0.25 * pressing.spacing)
-
-    def _touches(self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray) -> bool:
-        return bool(np.isfinite(self._force(pressing, shapes, x, pressing.place(x[None]))).all())
+        self._hold(at.x, qacc)
+        if not isinstance(at.sampler.contact, Contact):
+            return wrench_between(self._model, self._data, at.shapes)
+        return wrench_between(self._model, self._data, at.shapes, at.place.p[0], 0.25 * at.sampler.spacing)
 
     def _both(
-        self,
-        pressing: ContactStateSampler,
-        shapes: ContactGeoms,
-        x: np.ndarray,
-        place: Any,
-        velocity: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        self, at: _Pressed, velocity: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """The plan's force (3,), MuJoCo's, and the contact velocity (3,), nearest to `velocity`."""
-        m, v = self._mechanism, place.v[0]
+        m, x, v = self._mechanism, at.x, at.place.v[0]
         if velocity is not None:
             x = x.copy()
-            x[m.velocities], v = pressing.moving(place, velocity)
-        ours = _planned(place, v, x[m.velocities])
-        return ours[:3], self._force(pressing, shapes, x, place)[:3], v
+            x[m.velocities], v = at.sampler.moving(at.place, velocity)
+        ours = _planned(at.place, v, x[m.velocities])
+        return ours[:3], self._force(at._replace(x=x))[:3], v
 
-    def _coefficients(
-        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray
-    ) -> Iterator[Coefficient]:
-        law, name, depth = pressing.contact.law, shapes.name, pressing.depth
-        deeper = pressing.pressed(x[None], 2.0 * depth)[0]
+    def _coefficients(self, at: _Pressed) -> Iterator[Coefficient]:
+        pressing, law, name, depth = at.sampler, at.sampler.contact.law, at.shapes.name, at.sampler.depth
+        deeper = pressing.pressed(at.x[None], 2.0 * depth)[0]
         if not len(deeper):
             return
-        place, below = pressing.place(x[None]), pressing.place(deeper)
-        n, further = place.n[0], float(below.e[0] - place.e[0])
-        rest, more = self._both(pressing, shapes, x, place)[:2], self._both(pressing, shapes, deeper[0], below)[:2]
-        K = [(f @ below.n[0] - f0 @ n) / further for f0, f in zip(rest, more, strict=True)]
+        below = _Pressed.at(pressing, at.shapes, deeper[0])
+        n, further = at.place.n[0], float(below.place.e[0] - at.place.e[0])
+        rest, more = self._both(at)[:2], self._both(below)[:2]
+        K = [(f @ below.place.n[0] - f0 @ n) / further for f0, f in zip(rest, more, strict=True)]
         yield compared("contact_stiffness", name, K[1], K[0], law.stiffness)
         begins = float(rest[0] @ n) / K[0] - float(rest[1] @ n) / K[1]
         yield surface_difference("contact_surface", name, begins, depth, _bluntness(pressing.contact))
         load = float(rest[0] @ n)
         closing = _CLOSING * load / law.damping if law.damping > 0.0 else pressing.speed
-        *forces, v = self._both(pressing, shapes, x, place, -closing * n)
+        *forces, v = self._both(at, -closing * n)
         if -v @ n > _STUCK * closing:
             B = [float((f - f0) @ n) / float(-v @ n) for f0, f in zip(rest, forces, strict=True)]
             yield compared("contact_damping", name, B[1], B[0], load / closing)
-        yield from self._friction(pressing, shapes, x, place, rest)
-        yield from self._turning(pressing, shapes, x, place, load)
-        yield self._inertia(pressing, shapes, x, place, rest[1])
+        yield from self._friction(at, rest)
+        yield from self._turning(at, load)
+        yield self._inertia(at, rest[1])
 
-    def _friction(
-        self,
-        pressing: ContactStateSampler,
-        shapes: ContactGeoms,
-        x: np.ndarray,
-        place: Any,
-        rest: tuple[np.ndarray, ...],
-    ) -> Iterator[Coefficient]:
+    def _friction(self, at: _Pressed, rest: tuple[np.ndarray, ...]) -> Iterator[Coefficient]:
         """Friction and slip damping in two tangential directions; nothing where the contact cannot slide."""
+        pressing, place, name = at.sampler, at.place, at.shapes.name
         law, n = pressing.contact.law, place.n[0]
         load, across = float(rest[0] @ n), np.eye(3) - np.outer(n, n)
         rubs = law.friction > 0.0 and law.slip_damping > 0.0
@@ -251,7 +249,7 @@ class _Bench:
 
         def rubbed(way: np.ndarray, speed: float) -> tuple[list[float], list[float], float]:
             """Both friction forces, both normal forces, and the sliding speed."""
-            *forces, v = self._both(pressing, shapes, x, place, speed / share(way) * way)
+            *forces, v = self._both(at, speed / share(way) * way)
             size = float(np.linalg.norm(across @ v))
             # Minus the forces at rest: the normals of two capsules may differ a little.
             friction = [float((f0 - f) @ across @ v) / size for f0, f in zip(rest, forces, strict=True)]
@@ -265,16 +263,14 @@ class _Bench:
             way = -way if lifts else way
             friction, normal, speed = rubbed(way, _FAST * (1.0 + law.bend) * slips)
             if law.slip_damping * speed >= (1.0 + law.bend) * law.friction * normal[0]:  # else it may not slip
-                yield compared("friction", shapes.name, friction[1] / normal[1], friction[0] / normal[0], 1.0)
+                yield compared("friction", name, friction[1] / normal[1], friction[0] / normal[0], 1.0)
             if rubs:
                 friction, _, speed = rubbed(way, _SLOW * slips)
-                yield compared("slip_damping", shapes.name, friction[1] / speed, friction[0] / speed, law.slip_damping)
+                yield compared("slip_damping", name, friction[1] / speed, friction[0] / speed, law.slip_damping)
 
-    def _turning(
-        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, load: float
-    ) -> Iterator[Coefficient]:
+    def _turning(self, at: _Pressed, load: float) -> Iterator[Coefficient]:
         """Torques of spinning and rolling friction; nothing where the contact cannot turn."""
-        m, law, n = self._mechanism, pressing.contact.law, place.n[0]
+        m, law, place, n = self._mechanism, at.sampler.contact.law, at.place, at.place.n[0]
         across = max(np.eye(3) - np.outer(n, n), key=lambda way: float(np.linalg.norm(way)))
         for arm, way in ((law.spinning, n), (law.rolling, across / np.linalg.norm(across))):
             if arm == 0.0:
@@ -285,29 +281,27 @@ class _Bench:
             w, v = place.turning[0] @ qd, place.J[0] @ qd
             if w @ way < _STUCK * speed:
                 continue
-            moving = x.copy()
+            moving = at.x.copy()
             moving[m.velocities] = qd
-            ours, theirs = _planned(place, v, qd), self._force(pressing, shapes, moving, place)
+            ours, theirs = _planned(place, v, qd), self._force(at._replace(x=moving))
             given, planned = (-float(one[3:] @ way) / float(one[:3] @ n) for one in (theirs, ours))
-            yield compared("contact_turning", shapes.name, given, planned, arm)
+            yield compared("contact_turning", at.shapes.name, given, planned, arm)
 
-    def _inertia(
-        self, pressing: ContactStateSampler, shapes: ContactGeoms, x: np.ndarray, place: Any, rest: np.ndarray
-    ) -> Coefficient:
+    def _inertia(self, at: _Pressed, rest: np.ndarray) -> Coefficient:
         """Share of a force along the normal that MuJoCo's contact force cancels, at the acceleration that it causes."""
+        law, place, name = at.sampler.contact.law, at.place, at.shapes.name
         push = 0.1 * float(rest @ place.n[0])
-        self._hold(x)
+        self._hold(at.x)
         qacc = np.empty((1, self._mechanism.nv))
         self._mujoco.mj_solveM(self._model, self._data, qacc, push * (place.J[0].T @ place.n[0])[None])
-        change = rest - self._force(pressing, shapes, x, place, qacc[0])[:3]
+        change = rest - self._force(at, qacc[0])[:3]
         share = float(change @ place.n[0]) / push
-        law = pressing.contact.law
         ahead = place.v[0] + law.lead * (place.J[0] @ qacc[0])
         forces = [_planned(place, v, qd) for v, qd in ((place.v[0], 0.0 * qacc[0]), (ahead, law.lead * qacc[0]))]
         ours = float((forces[0] - forces[1])[:3] @ place.n[0]) / push
         both = f"{100.0 * share:.3g} % of the force that it gives, the plan's {100.0 * ours:.3g} %"
         difference = abs(share - ours) / max(1.0, abs(ours))
-        return Coefficient("contact_inertia", shapes.name, share, ours, difference, f"{shapes.name} takes up {both}")
+        return Coefficient("contact_inertia", name, share, ours, difference, f"{name} takes up {both}")
 
     def stops(self, x: np.ndarray) -> Iterator[Coefficient]:
         """Every coefficient of every joint stop, the other joints at their start."""
@@ -327,7 +321,7 @@ class _Bench:
             qacc = np.zeros(m.nv)
             qacc[stop.dof] = stop.side * speeding
             e, opening = stop_state(m, stop, x[None, : m.nq], x[None, m.velocities])
-            ours = unilateral_force(law, e, opening - law.lead * speeding)[0]
+            ours = unilateral_force(law, e, opening - law.lead * speeding)
             return ours[0], self._limit(x, stop, qacc)
 
         held, deeper = both(depth, 0.0), both(2.0 * depth, 0.0)
@@ -355,7 +349,7 @@ def _planned(place: Any, v: np.ndarray, qd: np.ndarray) -> np.ndarray:
     """The plan's force and torque (6,) at a contact velocity (3,) and joint velocities (nv,)."""
     law = place.contact.law
     if law.condim <= 3:
-        return np.append(contact_force(law, place.n, place.e, v[None])[0][0], np.zeros(3))
+        return np.append(contact_force(law, place.n, place.e, v[None])[0], np.zeros(3))
     return contact_wrench(law, place.n, place.e, v[None], (place.turning[0] @ qd)[None])[0][0]
 
 

@@ -25,10 +25,11 @@ from planner.model.mjcf.read import mechanism_of_model
 from planner.model.mjcf.unsupported import unsupported_elements
 from planner.model.twin import Twin
 from planner.problem.plan import Plan
-from planner.proof.compare.rigid_parity import random_states, rounded, turns
+from planner.proof.compare.rigid_parity import random_states, rounded
 from planner.proof.engines import ENGINES, drake, pinocchio
 from planner.proof.engines.motion import PARTS, Applied, Rates, joints_with, motion
 from planner.proof.engines.text import Prepared, prepared
+from planner.proof.error_scales import by_unit
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch
 from planner.proof.replays.replaying import problem_of
@@ -204,26 +205,26 @@ def _errors(plan: Plan, theirs: Rates) -> Iterator[Measurement]:
     """Errors of the trajectory against the plan and against the plan's own dynamics, by kind of coordinate."""
     assert plan.problem is not None  # checked by problem_of()
     dynamics: Any = plan.problem.dynamics
-    mechanism, start = dynamics.mechanism, plan.problem.x0
-    planned = plan.between_knots(PARTS)
+    start, planned = plan.problem.x0, plan.between_knots(PARTS)
+    kinds = [(word if unit else "activation", unit, which) for word, unit, which, _ in by_unit(plan.problem)]
 
     def ours(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return dynamics.rates(x[None], u[None])[0]
 
-    own = motion(plan, mechanism, start, ours, feedback=False)
+    own = motion(plan, dynamics.mechanism, start, ours, feedback=False)
     for mode, how in (("open_loop", "open loop"), ("feedback", "with ideal gains, at every evaluation")):
-        found = motion(plan, mechanism, start, theirs, feedback=mode == "feedback")
+        found = motion(plan, dynamics.mechanism, start, theirs, feedback=mode == "feedback")
         error = _deviation(plan, found, planned)
         ran = np.isnan(found).any(axis=1)
         away = f"; ran away at t = {plan.dt / PARTS * ran.argmax():.4g} s" if ran.any() else ""
-        for kind, unit, which in _kinds(mechanism):
+        for kind, unit, which in kinds:
             path, end = error[:, which].max(), error[-1, which].max()
             note = f"{how}, against the plan's own motion, largest"
             yield Measurement(f"{mode}_end_{kind}_error", float(end), unit, None, f"{note} at the end{away}")
             yield Measurement(f"{mode}_path_{kind}_error", float(path), unit, None, f"{note} over the path{away}")
         if mode == "open_loop":
             apart = _deviation(plan, found, own)
-            for kind, unit, which in _kinds(mechanism):
+            for kind, unit, which in kinds:
                 note = "open loop over the path, against the plan's own dynamics by the same integrator"
                 yield Measurement(f"{kind}_between_engines", float(apart[:, which].max()), unit, None, note)
 
@@ -232,19 +233,3 @@ def _deviation(plan: Plan, xs: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Magnitudes (M+1, ndx) of a trajectory's deviation; infinite after divergence."""
     with np.errstate(invalid="ignore"):
         return np.nan_to_num(np.abs(plan.space.difference(xs, reference)), nan=np.inf)
-
-
-def _kinds(mechanism: Mechanism) -> Iterator[tuple[str, str, np.ndarray]]:
-    """Kind, unit and indices in the deviation of the coordinates, for each kind that occurs."""
-    turning, none = turns(mechanism), np.zeros(mechanism.nv, dtype=bool)
-    acts = np.zeros(mechanism.na, dtype=bool)
-    kinds = {
-        "angle": ("rad", turning, none), "distance": ("m", ~turning, none),
-        "angular_velocity": ("rad/s", none, turning), "velocity": ("m/s", none, ~turning),
-    }  # fmt: skip
-    for kind, (unit, places, speeds) in kinds.items():
-        which = np.flatnonzero(np.concatenate([places, speeds, acts]))
-        if len(which):
-            yield kind, unit, which
-    if mechanism.na:
-        yield "activation", "", 2 * mechanism.nv + np.arange(mechanism.na)

@@ -16,6 +16,7 @@ import numpy as np
 
 from planner.base.gl import load_mujoco, load_rollout
 from planner.dynamics.protocol import integrator_of
+from planner.kernels.integrators import LEAPFROG
 from planner.model.capabilities import capabilities_of
 from planner.model.mjcf.model_index import named
 from planner.model.passive_forces import implicit_damping
@@ -140,9 +141,15 @@ Acceleration = Callable[[Any, Any], np.ndarray]  # (model, data) after mj_forwar
 
 
 def damping_of(dynamics: Any) -> np.ndarray | None:
-    """(nv,) damping that a plan's dynamics integrate implicitly; None for explicit integration."""
-    mechanism = capabilities_of(dynamics).mechanism
-    return implicit_damping(mechanism) if mechanism is not None and integrator_of(dynamics).implicit else None
+    """(nv,) damping that replays of a plan integrate implicitly, as its dynamics do; None for explicit integration."""
+    return stage_damping(dynamics) if integrator_of(dynamics).implicit else None
+
+
+def stage_damping(dynamics: Any) -> np.ndarray | None:
+    """(nv,) damping that a plan's stages take implicitly, or as it is in the middle of a step; None for none."""
+    mechanism, known = capabilities_of(dynamics).mechanism, integrator_of(dynamics)
+    takes = mechanism is not None and (known.implicit or known.form == LEAPFROG)
+    return implicit_damping(mechanism) if takes else None
 
 
 def implicit_step(
