@@ -9,13 +9,15 @@ Instead of a CSV the file may be any that read_recording() knows.
 Columns named as actuators are controls, each row held until the next one's time; actuators without a column get zero.
 Columns named as joints (with `position of ` before the name where an actuator is called the same) are positions to be
 followed from the first row's time to the last one's: controls come from inverse dynamics of a spline through them, and
-the gains from an LQR about the motion. Of an exported plan, with states and controls, the controls are taken, from the
-state in its first row until the time of its last. What the model has and a plan cannot have is left out of the planned
-machine; the proof says so, and replays the file as it is.
+the gains from an LQR about the motion, in stages shorter than the rows are apart where the machine is faster. Of an
+exported plan, with states and controls, the controls are taken, from the state in its first row until the time of its
+last. What the model has and a plan cannot have is left out of the planned machine; the proof says so, and replays the
+file as it is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,6 +40,7 @@ from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.recorded_columns import control_columns, other_columns, position_columns
 from planner.problem.recording import POSITION, TIME, Recording, read_recording
+from planner.proof.error_propagation import propagate_errors
 from planner.proof.replays.replaying import Replay
 from planner.solvers import lq
 from planner.solvers.gains import tracking_gains
@@ -45,6 +48,9 @@ from planner.solvers.gains import tracking_gains
 EVEN = 0.01  # relative, of the spacing of times
 _CONTROL_WEIGHT = 0.01  # of a control of the largest size, where 1 rad and 1 rad/s have the weight 1
 _START_TOLERANCE = 0.01  # rad or m, between a given start and the first row of positions
+_PARTS = 1, 2, 4, 8, 16  # steps from one row to the next: of positions stages, of controls, which are held, substeps
+_RESOLVED = 0.5  # of what passes: the predicted error of steps that are short enough
+_HELPS = 0.5  # of the error of steps twice as long: shorter ones that leave more do not help
 _EFFORT = 1e-6  # weight of the given controls: the cost is only shown
 
 
@@ -77,30 +83,78 @@ def plan_of_controls(
     motion = degrees or Path(path).suffix != ".csv"  # bags and data sets hold positions
     columns = _columns(recording, mechanism, path, motion)
     dt = _spacing(table[:, 0], path, even=not columns.joints)
-    dynamics, with_goal = RigidBodyDynamics(mechanism, dt), goal is not None
     x0 = mechanism.home.copy() if start is None else state_of("start", start, mechanism, mechanism.home)
     if columns.joints:
         table = table[:, [0, *columns.joints.values()]]
         joints = [mechanism.joint_names.index(name) for name in columns.joints]
-        reference, xs, us, K = _tracked(dynamics, table, joints, x0 if start is not None else None)
-        goal = _last(table[-1, 1:], joints, mechanism) if goal is None else goal
+        recorded = _motion_of(mechanism, table, joints, x0 if start is not None else None)
+        with_goal, goal = goal is not None, _last(table[-1, 1:], joints, mechanism) if goal is None else goal
+        rows = len(table) - 1
+
+        def run_of(parts: int) -> _Run:
+            parts = max(1, min(parts, LONGEST_HORIZON // rows))
+            return _tracked(RigidBodyDynamics(mechanism, dt / parts), parts * rows, recorded)
+
+        plan = _resolved(run_of, goal, tolerance, moving=not with_goal)
     else:
         if columns.states and start is None:
             x0 = table[0, columns.states]
         us = np.zeros((len(table) - bool(columns.states), mechanism.nu))  # at the end of a plan no control acts
         us[:, [*columns.controls]] = table[: len(us), [*columns.controls.values()]]
-        xs, K = rollout_states(dynamics, x0, us), np.zeros((len(us), mechanism.nu, dynamics.ndx))
-        reference = xs
-    if not np.isfinite(xs).all():
+
+        def run_of(parts: int) -> _Run:
+            dynamics = RigidBodyDynamics(mechanism, dt, substeps=parts)
+            xs, K = rollout_states(dynamics, x0, us), np.zeros((len(us), mechanism.nu, dynamics.ndx))
+            return _Run(dynamics, xs, xs, us, K)
+
+        plan = _resolved(run_of, goal, tolerance, moving=False)
+    if plan is None:
         raise PlannerError(_infinite(path, mechanism, columns))
-    return _planned(dynamics, reference, xs, us, K, goal, tolerance, moving=bool(columns.joints) and not with_goal)
+    return plan
 
 
-def _planned(
-    dynamics: RigidBodyDynamics, reference: np.ndarray, xs: np.ndarray, us: np.ndarray, K: np.ndarray, goal: Any,
-    tolerance: Any, moving: bool,
-) -> Plan:  # fmt: skip
-    """The plan; its cost refers to the recorded states (N+1, nx), which weigh nothing but at a goal."""
+class _Run(NamedTuple):
+    """A motion in stages of one length: states that are recorded and reached, controls and gains."""
+
+    dynamics: RigidBodyDynamics
+    reference: np.ndarray  # (N+1, nx)
+    xs: np.ndarray  # (N+1, nx)
+    us: np.ndarray  # (N, nu)
+    K: np.ndarray  # (N, nu, ndx)
+
+
+def _resolved(run_of: Callable[[int], _Run], goal: Any, tolerance: Any, moving: bool) -> Plan | None:
+    """The plan whose steps, as few as can be from one row to the next, a proof resolves.
+
+    Rows are as far apart as a recorder had them; the machine may be faster. Steps are halved until the error that is
+    predicted of them is well within what passes, as long as that helps. None where states are infinite.
+
+    Args:
+        run_of: The motion with so many steps from one row to the next.
+        goal: As of plan_of_controls().
+        tolerance: Likewise.
+        moving: Whether it may end in motion.
+    """
+    found, least = None, np.inf
+    for parts in _PARTS:
+        plan = _planned(run_of(parts), goal, tolerance, moving)
+        if plan is None:
+            continue
+        assert plan.problem is not None
+        error = max(float(one.max()) for one in propagate_errors(plan, plan.problem, {}).predicted.values())
+        if found is not None and not error < _HELPS * least:
+            break
+        found, least = plan, error if np.isfinite(error) else np.inf
+        if least <= _RESOLVED:
+            break
+    return found
+
+
+def _planned(run: _Run, goal: Any, tolerance: Any, moving: bool) -> Plan | None:
+    """The plan, whose cost refers to the recorded states, without weight but at a goal; None if states are infinite."""
+    dynamics, reference, xs, us, K = run
+    if not np.isfinite(xs).all():
+        return None
     mechanism, N = dynamics.mechanism, len(us)
     Q = np.zeros((N + 1, dynamics.ndx, dynamics.ndx))
     R = np.tile(_EFFORT * dynamics.dt * np.eye(dynamics.nu), (N, 1, 1))
@@ -225,30 +279,36 @@ def _last(row: np.ndarray, joints: list[int], mechanism: Mechanism) -> dict[str,
     return {mechanism.joint_names[j]: float(value) for j, value in zip(joints, row, strict=True)}
 
 
-def _tracked(
-    dynamics: RigidBodyDynamics, table: np.ndarray, joints: list[int], x0: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Recorded and followed states (N+1, nx), controls (N, nu) and gains (N, nu, ndx).
+class _Motion(NamedTuple):
+    """Recorded positions (nq,) over time, a spline, and the start of who follows it; None for the motion's own."""
 
-    The table (N+1, 1 + nv) has times and positions, of which a spline gives those at equal times.
-    """
+    positions: Any
+    start: np.ndarray | None
+
+
+def _motion_of(mechanism: Mechanism, table: np.ndarray, joints: list[int], x0: np.ndarray | None) -> _Motion:
+    """The spline through a table (N+1, 1 + nv) of times and positions."""
     from scipy.interpolate import make_interp_spline
 
-    mechanism, dt, N = dynamics.mechanism, dynamics.dt, len(table) - 1
     if not np.all(mechanism.kind == SCREW):
         raise PlannerError("the model has ball or free joints, expected hinges and slides to follow joint positions.")
-    if N < 6:
-        raise PlannerError(f"{N + 1} rows of positions are given, expected at least 7 to know accelerations.")
+    if len(table) < 7:
+        raise PlannerError(f"{len(table)} rows of positions are given, expected at least 7 to know accelerations.")
     links = [mechanism.joint_links[j].start for j in joints]
-    q = np.empty((N + 1, mechanism.nq))
+    q = np.empty((len(table), mechanism.nq))
     q[:, mechanism.q_address[links]] = table[:, 1:]
     if x0 is not None and np.abs(x0[: mechanism.nq] - q[0]).max() > _START_TOLERANCE:
         raise PlannerError(
             f"the start is {np.abs(x0[: mechanism.nq] - q[0]).max():.3g} from the first row of positions, expected the "
             "same: leave --start out."
         )
+    return _Motion(make_interp_spline(table[:, 0] - table[0, 0], q, k=5), x0)
+
+
+def _tracked(dynamics: RigidBodyDynamics, N: int, motion: _Motion) -> _Run:
+    """The motion followed in N stages: controls by inverse dynamics, gains of an LQR about it."""
+    mechanism, dt, spline = dynamics.mechanism, dynamics.dt, motion.positions
     t = dt * np.arange(N + 1)
-    spline = make_interp_spline(table[:, 0] - table[0, 0], q, k=5)
     middle = t[:-1] + 0.5 * dt  # the best time for a control that is constant over a stage
     us = inverse_dynamics_controls(mechanism, spline(middle), spline(middle, 1), spline(middle, 2))
     reference = np.concatenate([spline(t), spline(t, 1)], axis=1)
@@ -262,8 +322,8 @@ def _tracked(
             f"the positions jump, by accelerations up to {fastest:.3g} in rad/s^2 or m/s^2, and no gains follow them, "
             "expected a motion of the joints: columns of controls bear the names of actuators."
         )
-    start = reference[0] if x0 is None else x0
-    return reference, *rollout(dynamics, start, us, feedback_control(dynamics, reference, us, K)), K
+    start = reference[0] if motion.start is None else motion.start
+    return _Run(dynamics, reference, *rollout(dynamics, start, us, feedback_control(dynamics, reference, us, K)), K)
 
 
 def recording_errors(replay: Replay) -> list[tuple[str, ...]]:

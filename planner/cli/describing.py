@@ -110,7 +110,7 @@ def _show(path: str, known: Description, console: Console) -> None:
     facts += [("keyframes", ", ".join(known.keyframes))] if known.keyframes else []
     placed = [f"{name} at [{', '.join(f'{x:.3g}' for x in place)}]" for name, place in known.frames.items()]
     facts += [("frames", f"{first_of(placed, _MAX_PHRASES)} m in {next(iter(known.poses))}")] if placed else []
-    facts += [("base", URDF_BASE)] if is_urdf(path) else []
+    facts += [("base", URDF_BASE)] if is_urdf(path) and not known.moving_base else []
     facts += [("planned with", first_of(known.planned, _MAX_PHRASES))] if known.planned else []
     facts += [("left out", first_of(known.left_out, _MAX_PHRASES))] if known.left_out else []
     if known.loaded.keys:

@@ -146,17 +146,17 @@ def flies(mechanism: Mechanism) -> bool:
 def ballistic_dofs(mechanism: Mechanism, x0: np.ndarray) -> np.ndarray:
     """(nv,) bool, translations of free bases that no force from outside stops: they fall, or drift as x0 (nx,) does.
 
-    Of trees that begin with a free joint, without contacts, loop closures, tendons or actuators on that joint.
+    Of trees that begin with a free joint, on which no contact, loop closure, coupling, tendon or actuator acts.
     """
     root, found = roots(mechanism), np.zeros(mechanism.nv, dtype=bool)
-    outside = _trees_acted_on(mechanism)
+    pushed = mechanism.directly_actuated | _acted_on(mechanism)
     for links in mechanism.joint_links:
-        if links.stop - links.start < 6 or mechanism.parent[links.start] >= 0 or links.start in outside:
+        if links.stop - links.start < 6 or mechanism.parent[links.start] >= 0 or pushed[links].any():
             continue
         tree = root == links.start
         held = mechanism.gravcomp_mass[tree].sum() >= mechanism.mass[tree].sum() * (1.0 - 1e-9)
         carried_off = (np.any(mechanism.gravity) and not held) or np.any(x0[mechanism.velocities][tree])
-        if carried_off and not mechanism.directly_actuated[links].any():
+        if carried_off:
             found[links.start : links.start + 3] = True
     return found
 
@@ -165,13 +165,13 @@ def floating_dofs(mechanism: Mechanism) -> np.ndarray:
     """(nv,) bool, of bases that nothing holds or drives, and that go where the motion of the joints takes them.
 
     Slides at the root of a tree with actuators, and the hinge or ball joint behind them: a free joint, or those of a
-    planar machine. No actuator, spring or friction acts on them, and no contact, loop closure or tendon on their tree.
+    planar machine. No actuator, spring, friction, contact, loop closure, coupling or tendon acts on them.
     Gravity turns nothing about a base that falls with it, along its slides, and nothing about an axis along itself.
     """
     root, found = roots(mechanism), np.zeros(mechanism.nv, dtype=bool)
-    outside = _trees_acted_on(mechanism)
     pushed = mechanism.directly_actuated | (mechanism.stiffness != 0.0) | (mechanism.friction_loss != 0.0)
-    for first in set(root.tolist()) - outside:
+    pushed |= _acted_on(mechanism)
+    for first in np.unique(root):
         tree, i, frame, axes = root == first, first, np.eye(3), []
         if not np.any(mechanism.directly_actuated[tree]):
             continue
@@ -194,15 +194,20 @@ def floating_dofs(mechanism: Mechanism) -> np.ndarray:
     return found
 
 
-def _trees_acted_on(mechanism: Mechanism) -> set[int]:
-    """Roots of the trees with contacts, loop closures, couplings or tendons."""
-    root = roots(mechanism)
-    acted = {contact.link for contact in mechanism.contacts}
-    acted |= {shape.link for pair in mechanism.body_contacts for shape in (pair.first, pair.second)} - {-1}
-    acted |= {end for loop in mechanism.loops for end in loop.links} - {-1}
-    acted |= {dof for one in (*mechanism.couplings, *mechanism.polynomial_couplings, *mechanism.tendons)
-              for dof in one.dofs} - {-1}  # fmt: skip
-    return {int(root[dof]) for dof in acted}
+def _acted_on(mechanism: Mechanism) -> np.ndarray:
+    """(nv,) bool, what contacts, loop closures, couplings and tendons act on.
+
+    Within a tree these forces are internal: they act on what is between their ends, and not on the base that carries
+    both. The ground, and another tree, act on all of it.
+    """
+    found = constrained_dofs(mechanism)
+    for tendon in mechanism.tendons:
+        found[[dof for dof in tendon.dofs if dof >= 0]] = True
+    pairs = [(contact.link, -1) for contact in mechanism.contacts]
+    pairs += [(pair.first.link, pair.second.link) for pair in mechanism.body_contacts]
+    for first, second in pairs:
+        found[list(_ancestors(mechanism, first) ^ _ancestors(mechanism, second))] = True
+    return found
 
 
 def unreached_dofs(mechanism: Mechanism, prescribed: Iterable[int] = ()) -> np.ndarray:

@@ -13,7 +13,15 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.dynamics.kinematics import frame_pose
 from planner.model.mechanism import Mechanism
-from planner.model.mjcf.facts import Record, actuator_records, body_records, free_bases, joint_records, moving_mass
+from planner.model.mjcf.facts import (
+    Record,
+    actuator_records,
+    body_records,
+    free_bases,
+    has_moving_base,
+    joint_records,
+    moving_mass,
+)
 from planner.model.mjcf.model_file import ModelFile
 from planner.model.mjcf.model_index import gravity_of
 from planner.model.mjcf.read import read_opened
@@ -43,6 +51,7 @@ class Description:
     gravity: list[float]  # (3,) m/s^2
     mass: float  # Total moving mass, kg
     free_bases: list[str]  # Names of bodies with a free joint
+    moving_base: bool  # Whether a base moves in space or in a plane
     degrees_of_freedom: int  # nv
     planned: list[str]  # Features that the plan models, a phrase each
     left_out: list[str]  # Features that the plan omits, a phrase each
@@ -96,7 +105,8 @@ def describe(file: ModelFile, keys: dict[str, Any] | None = None) -> Description
     return Description(
         name=file.root.get("model", ""), joints=joints, bodies=body_records(model), actuators=actuators,
         contacts=_contacts(file, mechanism), gravity=[float(g) for g in gravity_of(model)], mass=moving_mass(model),
-        free_bases=free_bases(model), degrees_of_freedom=int(model.nv), planned=_planned(mechanism, joints),
+        free_bases=free_bases(model), moving_base=has_moving_base(model), degrees_of_freedom=int(model.nv),
+        planned=_planned(mechanism, joints),
         left_out=_left_out(file, mechanism), loaded=loaded, poses=poses,
         troubles=lint_model(model, mechanism, joints, keyframes), frames=_frames(model, mechanism, poses),
     )  # fmt: skip

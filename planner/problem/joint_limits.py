@@ -145,6 +145,18 @@ def pairs_of_coordinates(what: str, value: Any, dynamics: Dynamics) -> dict[int,
     return found
 
 
+class Leader(NamedTuple):
+    """The joint that another one follows, for messages: who follows is slope * leader + offset."""
+
+    name: str
+    slope: float
+    offset: float
+
+    def value(self, follower: float) -> float:
+        """Where it is when its follower is at a value, rad or m."""
+        return (follower - self.offset) / self.slope
+
+
 class Range(NamedTuple):
     """Bounds of a coordinate, with and without the margin."""
 
@@ -153,6 +165,7 @@ class Range(NamedTuple):
     model_lower: float  # The model's own range; low and high are inside by the margin
     model_upper: float
     of_model: bool = False
+    leader: Leader | None = None  # of a joint that follows another one, which is to be written in its place
 
     @classmethod
     def of(cls, low: float, high: float) -> Range:
@@ -180,7 +193,13 @@ class Range(NamedTuple):
         """The end of a message about a value outside of the range: expected range and fix."""
         name, unit = coordinate
         nearest = self.model_lower if value < self.model_lower else self.model_upper
-        message = f", expected {self.model_lower:g} ... {self.model_upper:g} {unit}".rstrip() + f": write {nearest:.6g}"
+        written = f"{nearest:.6g}"
+        if self.leader is not None:
+            value, written = (
+                self.leader.value(value),
+                f"{toml_key(self.leader.name)} = {self.leader.value(nearest):.6g}",
+            )
+        message = f", expected {self.model_lower:g} ... {self.model_upper:g} {unit}".rstrip() + f": write {written}"
         message += f', or limits.position = {{ {toml_key(name)} = "off" }}.' if self.of_model else "."
         if unit == "rad" and abs(value) > 2.0 * np.pi:
             message += f" Angles are in rad: {value:g} deg are {np.radians(value):.6g}."
@@ -197,8 +216,21 @@ def model_ranges(mechanism: Mechanism, margin: Any) -> dict[int, Range]:
         single = links.stop - i == 1 and mechanism.kind[i] == SCREW
         if single and i not in stopped and np.isfinite([low, high]).any():
             keep = min(_margin(mechanism, name, i, margin), 0.5 * (high - low))
-            found[i] = Range(low + keep, high - keep, low, high, of_model=True)
+            found[i] = Range(low + keep, high - keep, low, high, of_model=True, leader=_leader(mechanism, i))
     return found
+
+
+def _leader(mechanism: Mechanism, dof: int) -> Leader | None:
+    """The one joint that a degree of freedom follows linearly, if it has a name."""
+    reduction = mechanism.reduction
+    if reduction is None or dof not in reduction.dependent:
+        return None
+    row, offset = reduction.G[dof], reduction.offset[list(reduction.dependent).index(dof)]
+    leading = np.flatnonzero(row)
+    if len(leading) != 1:
+        return None
+    name = mechanism.joint_names[_joint_index(mechanism, int(reduction.independent[leading[0]]))]
+    return Leader(name, float(row[leading[0]]), float(offset)) if name else None
 
 
 def moved_inside_limits(

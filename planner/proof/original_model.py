@@ -70,6 +70,7 @@ from planner.proof.verdict import PATH_WITH_GAINS
 TITLE = "your file"
 OPEN_LOOP_MISSES = "open_loop_misses"
 EQUALITY_RATE = "equality_rate"
+TIMESTEP = "timestep"
 PATH_IN_FILE = "path_over_its_bound"  # above 1, its note is for the first line
 RANGE_EXCESS = "range_excess"
 OVERLAPS_THAT_PUSH = "overlaps_at_the_start_that_push"
@@ -165,7 +166,7 @@ def _measured(run: Replay, problem: Problem, goals: Sequence[GoalCheck]) -> list
         for name, (found, meaning) in sentences.items()
     ]
     method = "Rosenbrock, with MuJoCo's accelerations" if run.integrator == ROSENBROCK else f"MuJoCo's {run.integrator}"
-    step = Measurement("timestep", run.timestep, "s", None, f"of {method}, for this step of the proof")
+    step = Measurement(TIMESTEP, run.timestep, "s", None, f"of {method}, for this step of the proof")
     kept = replayed_violations(run, problem, problem.constraints)  # joint ranges are judged by stops_hit()
     return [
         *judged,

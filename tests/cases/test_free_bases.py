@@ -78,6 +78,42 @@ def test_bases_float_that_nothing_holds_or_drives(gravity, more, found):
     assert floating_dofs(planner.Mechanism.from_mjcf(pendulum)).tolist() == [gravity == 0, False]
 
 
+LEGS = """<body pos="{at} 0 0"><joint name="hip_{at}" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.2"
+  size=".02" contype="0" conaffinity="0"/><site name="foot_{at}" pos="0 0 -.2"/></body>"""
+
+
+@pytest.mark.parametrize(
+    ("held", "base"),
+    [
+        ('<joint joint1="hip_.1" joint2="hip_-.1"/>', [True] * 3),  # of two legs: an inner force moves no base
+        ('<joint joint1="hip_.1" joint2="hip_-.1" polycoef="0 1 .2 0 0"/>', [True] * 3),
+        ('<connect site1="foot_.1" site2="foot_-.1"/>', [True] * 3),
+        ('<joint joint1="z" joint2="hip_.1" polycoef="0 .1 0 0 0"/>', [True, False, False]),  # a leg lifts the base
+        ('<connect body1="trunk" body2="world" anchor="0 0 0"/>', [False] * 3),
+    ],
+)
+def test_forces_within_a_machine_hold_no_base(held, base):
+    m = planner.Mechanism.from_mjcf(f"""<mujoco><worldbody><body name="trunk"><joint name="x" type="slide"
+      axis="1 0 0"/><joint name="z" type="slide"/><joint name="pitch" axis="0 1 0"/><geom size=".1" contype="0"
+      conaffinity="0"/>{LEGS.format(at=".1")}{LEGS.format(at="-.1")}</body></worldbody>
+      <equality>{held}</equality><actuator><motor joint="hip_-.1"/></actuator></mujoco>""")
+    assert floating_dofs(m)[:3].tolist() == base
+
+
+def test_a_cat_whose_tail_follows_its_hips_falls_as_without_it(tmp_path):
+    """An equality of two joints does not hold the chest: 1.23 m of fall are no missed goal."""
+    tail = """<body pos=".3 0 0"><joint name="tail" axis="0 1 0" damping=".01"/><geom type="capsule"
+      fromto="0 0 0 .2 0 0" size=".02" mass=".1" contype="0" conaffinity="0"/></body>"""
+    text = CAT.replace("</body></body>\n", tail + "</body></body>\n")
+    text = text.replace("<actuator>", '<equality><joint joint1="tail" joint2="bend"/></equality><actuator>')
+    (tmp_path / "cat.xml").write_text(text.format(gravity=-9.81))
+    (tmp_path / "problem.toml").write_text(TEXT + "goal = { bend = 0.5 }\n")
+    problem = load(tmp_path / "problem.toml").problem
+    mechanism = problem.dynamics.mechanism
+    np.testing.assert_array_equal(ballistic_dofs(mechanism, mechanism.home), [True] * 3 + [False] * 5)
+    assert {one.name for one in goals_of(problem) if one.unit in ("rad", "m")} == {"bend", "tail"}
+
+
 @pytest.mark.parametrize("gravity", [0, -9.81])
 def test_a_base_that_no_goal_names_goes_where_momentum_takes_it(tmp_path, gravity):
     """Of equal halves each turns by half of the bend, against the other: the chest by -0.5 rad and not by 0."""

@@ -7,7 +7,9 @@ from PIL import Image
 
 import planner
 from planner import PlannerError, cases
+from planner.cases import given_controls
 from planner.cases.given_controls import plan_of_controls
+from planner.proof.diagnostics import suggested_fixes
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +93,45 @@ def test_positions_are_followed(solved, model, tmp_path):
     assert proof.goal.passed
     with pytest.raises(PlannerError, match="leave --start out"):
         plan_of_controls(tmp_path / "q.csv", model, start=[1.0, 0.0])
+
+
+FAST = """<mujoco><worldbody><body><joint name="wrist" axis="0 1 0" damping="0.2"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -0.15" size="0.01" mass="0.1"/></body></worldbody>
+  <actuator><motor name="motor" joint="wrist"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("what", ["position of wrist", "motor"])
+def test_a_machine_may_be_faster_than_its_recording(what, tmp_path, monkeypatch):
+    """A wrist of 7.5e-4 kg m^2 with 0.2 N m s forgets its velocity in 4 ms, and rows are 10 ms apart."""
+    (tmp_path / "wrist.xml").write_text(FAST)
+    t = np.linspace(0.0, 1.0, 101)
+    rows = t**3 * (10 - 15 * t + 6 * t**2) if what != "motor" else 0.2 * np.sin(9.0 * t)
+    file = write(tmp_path / "wrist.csv", [what], rows[:, None], 0.01)
+
+    def proved():
+        plan = plan_of_controls(file, tmp_path / "wrist.xml")
+        proof = planner.prove(plan, rollouts=0, optimal=False)
+        return plan, proof, suggested_fixes(plan, proof)
+
+    plan, proof, _ = proved()
+    assert proof.passed, proof.reason
+    if what != "motor":
+        np.testing.assert_allclose(plan.xs[:: len(plan.us) // 100, 0], rows, atol=2e-3)
+    monkeypatch.setattr(
+        given_controls, "_PARTS", (1,)
+    )  # what a recording is told that even the shortest do not resolve
+    _, proof, (only,) = proved()
+    assert not proof.passed
+    assert (only.code, only.value) == ("rows_too_sparse", None)
+    assert only.values["rate"].value >= 200.0  # Hz, at least twice that of the rows
+    assert str(only).startswith(f"Record, or export by `--rate`, at {only.values['rate'].value:.3g} Hz or more")
+
+
+def test_a_recording_is_told_no_weights(solved, model, tmp_path):
+    file = write(tmp_path / "u.csv", ["shoulder", "elbow"], 0.9 * solved.us, solved.dt)
+    plan = plan_of_controls(file, model, goal=[np.pi / 2, 0.0])
+    (only,) = suggested_fixes(plan, planner.prove(plan, rollouts=0, optimal=False))
+    assert only.code == "unknown_of_recording"
 
 
 @pytest.mark.parametrize(

@@ -130,6 +130,16 @@ def test_a_urdf_is_said_to_be_fixed_and_how_it_walks(tmp_path):
     assert 'a machine that walks wants base = "free" and floor = true' in " ".join(done.stdout.split())
 
 
+@pytest.mark.parametrize(("kind", "fixed"), [("floating", False), ("planar", False), ("revolute", True)])
+def test_a_urdf_whose_top_joint_is_free_is_not_said_to_be_fixed(kind, fixed, tmp_path):
+    parts = link("world"), link("base", inertial()), link("upper", inertial())
+    joints = joint("root", "world", "base", kind=kind, axis="0 0 1"), joint("hip", "base", "upper")
+    (tmp_path / "arm.urdf").write_text(robot(*parts, *joints))
+    done = run("model", "arm.urdf", "--no-picture", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert ("fixed to the world" in done.stdout) == fixed
+
+
 def test_the_folder_of_a_urdfs_packages_is_taken_and_written(tmp_path):
     """As seen from the file that is written, which runs as it is."""
     mesh = shape("collision", '<mesh filename="package://parts/ball.stl"/>')

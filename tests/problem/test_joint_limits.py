@@ -243,3 +243,17 @@ def test_the_allowance_at_a_stop_is_a_share_of_the_files_range(tmp_path):
     text = 'model = "finger.xml"\nstart = { far = 0.1 }\ngoal = { near = 0.3 }\nduration = 1.0\n'
     (tmp_path / "finger.toml").write_text(text)
     assert planner.load_problem(tmp_path / "finger.toml").x0[1] == 0.1
+
+
+@pytest.mark.parametrize(("goal", "nearest"), [(7.0, 2.2), (-5.0, -1.8)])
+def test_a_goal_that_takes_a_follower_out_of_its_range_is_told_what_to_write_of_its_leader(tmp_path, goal, nearest):
+    """The tip is at 0.2 - lead and within -2 ... 2, so the lead within -1.8 ... 2.2; nobody writes the tip."""
+    (tmp_path / "mirror.xml").write_text("""<mujoco><compiler angle="radian"/><worldbody><body>
+      <joint name="lead" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .1 0 0" size=".01" mass=".1"/>
+      <body pos=".1 0 0"><joint name="tip" axis="0 1 0" range="-2 2" limited="true"/>
+       <geom type="capsule" fromto=".02 0 0 .1 0 0" size=".01" mass=".1"/></body></body></worldbody>
+      <equality><joint joint1="tip" joint2="lead" polycoef="0.2 -1 0 0 0"/></equality>
+      <actuator><motor joint="lead"/></actuator></mujoco>""")
+    (tmp_path / "problem.toml").write_text(f'model = "mirror.xml"\ngoal = {{ lead = {goal} }}\nduration = 1.0\n')
+    with pytest.raises(PlannerError, match=rf"has tip at .* rad, expected -2 \.\.\. 2 rad: write lead = {nearest}, or"):
+        load(tmp_path / "problem.toml")

@@ -1,8 +1,13 @@
 """Grippers whose equality is soft in the file: what is suggested, and gains that shake the file alone."""
 
+from dataclasses import replace
+
+import pytest
+
 import planner
+from planner.base.measured import Measurement, Section
 from planner.proof.diagnostics import suggested_fixes
-from planner.proof.original_model import PATH_WITH_GAINS
+from planner.proof.original_model import EQUALITY_RATE, PATH_WITH_GAINS, TIMESTEP
 
 # A servo of 20 N m/rad without damping swings with some 190 rad/s; the file's equality between the joints is soft.
 GRIPPER = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body>
@@ -88,3 +93,31 @@ def test_a_path_that_soft_equalities_leave_is_not_put_down_to_the_gains(tmp_path
     proof = planner.prove(plan, rollouts=0)
     assert not proof.your_file.passed
     assert [one.code for one in suggested_fixes(plan, proof)] == ["equality_gives"]
+
+
+def test_how_much_stiffer_an_equality_is_to_be_depends_on_what_it_lets_go(tmp_path):
+    """Positions fall as the inverse square of its rate, velocities as the inverse; 2 is to spare."""
+    (tmp_path / "hangs.xml").write_text(HANGS)
+    (tmp_path / "problem.toml").write_text(
+        'model = "hangs.xml"\nstart = { drive = 0.0 }\ngoal = { drive = 0.2 }\nduration = 1.0\ndt = 0.01\n'
+    )
+    plan = planner.solve(planner.load_problem(tmp_path / "problem.toml"))
+    proof = planner.prove(plan, rollouts=0)
+
+    def times(rate, failed, step=5e-4):
+        found = [Measurement(name, *values) for name, values in failed.items()]
+        found += [Measurement(EQUALITY_RATE, rate, "rad/s", None), Measurement(TIMESTEP, step, "s", None)]
+        judged = replace(proof, sections=proof.sections | {"your_file": Section("your file", tuple(found))})
+        fixes = [one for one in suggested_fixes(plan, judged) if one.code == "equality_gives"]
+        return [one.values["time"] for one in fixes]
+
+    velocity, angle = (
+        {"replayed_angular_velocity_miss": (0.4, "rad/s", 0.1)},
+        {"largest_angle_error": (0.04, "rad", 0.01)},
+    )
+    assert times(50.0, angle) == [pytest.approx(0.02 / 8.0**0.5)]
+    assert times(50.0, angle | velocity) == [pytest.approx(0.02 / 8.0)]
+    path = {"largest_angular_velocity_error": (0.4, "rad/s", 50.0 * 0.01 * 0.1)}  # a bound that rises with the rate
+    assert times(50.0, path) == [pytest.approx(0.02 / 16.0**0.5)]
+    assert times(50.0, velocity, step=2e-3) == [pytest.approx(4e-3)]  # MuJoCo takes none below two steps
+    assert times(1e8, velocity) == []  # as a URDF's mimic is written: no spring, something else is the cause

@@ -294,7 +294,7 @@ def _built(
     x0, goal, stops = off_stops(mechanism, table, x0, goal)
     x0, goal, notes = at_rest_on_stops(mechanism, table, x0, goal, notes)
     build = partial(again, mechanism, *constraints)
-    gait = steps_of(table)
+    gait = steps_of(table, mechanism)
     ramp = None if tasked or gait else stance_ramp(mechanism, table, x0, goal)
     if ramp is not None:
         mechanism = with_ramp(mechanism, ramp)
@@ -337,7 +337,7 @@ def _built(
         passed = ", ".join(f"{way.task.goals[k].time:.3g}" for k in way.waypoints)
         reasons["goal"] = f"Via points without times are passed at {passed} s, in proportion to the way of the joints."
     along = guess_of(way, dynamics, x0) if way is not None and us is None else None
-    steps, cyclic, paths = steps_of(table), None, None
+    steps, cyclic, paths = steps_of(table, mechanism), None, None
     if cycle is not None:
         cyclic = motion_in(table, cycle, dynamics, x0, N, limits)
         along, reasons["gait"] = ReferenceTrajectory(None, cyclic.states, direct=True, walks=True), cyclic.said

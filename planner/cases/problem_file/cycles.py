@@ -61,7 +61,8 @@ def motion_in(
     table: dict[str, Any], cycle: Cycle, dynamics: RigidBodyDynamics, x0: np.ndarray, N: int, limits: Limits | None
 ) -> CycleMotion:
     """The reference of a table's cycle from a state (nx,) in which the machine stands, in N stages."""
-    steps, ranges = steps_of(table), (limits or Limits(position="off")).position_ranges(dynamics)
+    steps = steps_of(table, dynamics.mechanism)
+    ranges = (limits or Limits(position="off")).position_ranges(dynamics)
     assert steps is not None  # cycle_in has refused it
     return cycle_motion(steps, cycle, dynamics, x0, N, ranges)
 

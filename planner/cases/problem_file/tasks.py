@@ -35,6 +35,7 @@ from planner.problem.problem import Problem
 from planner.problem.reaching_cost import along_gait
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
 from planner.problem.tasks.flight import BENT, check_flight, phases_of_jumps
+from planner.problem.tasks.foot_names import with_feet_of
 from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, with_points
 from planner.problem.tasks.pose_constraints import PoseConstraints
@@ -138,7 +139,7 @@ def resolve_task(
     if limits is not None:
         ranges = limits.position_ranges(dynamics)
     kept = PoseConstraints(constraints, dynamics, x0, N) if constraints else None
-    steps = steps_of(table)
+    steps = steps_of(table, dynamics.mechanism)
     stepping = steps.stepping_links(dynamics.mechanism, x0) if steps is not None else frozenset()
     poses_for = partial(poses_of, seed=table["seed"], check=RESOLVED not in table, constraints=kept, steps=stepping)
     task_from = partial(task_of, dynamics.mechanism, follows=follows, N=N, dt=dynamics.dt, tolerance=table["tolerance"])
@@ -178,12 +179,16 @@ def _stands_all_along(table: dict[str, Any], task: Task, poses: Poses) -> bool:
     return stands and not feet_move(task.mechanism, poses.q)
 
 
-def steps_of(table: dict[str, Any]) -> Gait | None:
-    """Which feet swing when: the gait of a table, or its phases; None where it says nothing about it."""
+def steps_of(table: dict[str, Any], mechanism: Mechanism | None = None) -> Gait | None:
+    """Which feet swing when: the gait of a table, or its phases; None where it says nothing about it.
+
+    Without a machine feet have the names that the table has.
+    """
     given = [key for key in ("gait", "phase") if key in table]
     if len(given) > 1:
         raise PlannerError("there are gait and [[phase]], expected one of them: both say which feet swing when.")
-    return gait_of(table[given[0]]) if given else None
+    gait = gait_of(table[given[0]]) if given else None
+    return gait if gait is None or mechanism is None else with_feet_of(gait, mechanism)
 
 
 def _of_goals(task: Task, poses: Poses) -> dict[str, np.ndarray]:

@@ -162,6 +162,14 @@ def free_bases(model: Any) -> list[str]:
     return [named(model, "body", body) for body in found if int(model.body_rootid[body]) in free]
 
 
+def has_moving_base(model: Any) -> bool:
+    """Whether a body in the world moves there in space or in a plane: on a free joint, or on slides and turns."""
+    kinds = load_mujoco().mjtJoint
+    in_world = (model.body_weldid[model.body_parentid] == 0) & (model.body_dofnum >= 3)
+    carried = in_world[model.jnt_bodyid]
+    return bool(np.any(carried & np.isin(model.jnt_type, (kinds.mjJNT_FREE, kinds.mjJNT_SLIDE))))
+
+
 def moving_mass(model: Any) -> float:
     """The mass of all bodies that move, kg."""
     return float(np.sum(model.body_mass[model.body_weldid != 0]))

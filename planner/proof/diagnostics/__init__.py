@@ -23,7 +23,7 @@ from planner.proof.diagnostics.solving import (
     other_guesses,
     other_model,
 )
-from planner.proof.diagnostics.stage import clamped_between, contacts_differ, shorter_stage
+from planner.proof.diagnostics.stage import clamped_between, contacts_differ, shorter_stage, sparse_rows
 from planner.proof.diagnostics.suggested_fix import SuggestedFix
 from planner.proof.diagnostics.velocity_weight import penalize_velocity
 from planner.proof.verdict import Proof
@@ -37,6 +37,7 @@ _CAUSES = (
     other_guesses, falling, contacts_differ, not_a_minimum,
     soft_equalities,
 )  # fmt: skip
+_OF_RECORDINGS = (other_model, sparse_rows, contacts_differ, soft_equalities)  # nobody chose weights or a duration
 _OF_CYCLES = (cycle_not_found, avoid_contact, fixed_joints, within_limits, more_iterations, failing_cycle)
 
 
@@ -53,7 +54,8 @@ def suggested_fixes(plan: Plan, proof: Proof | None = None) -> tuple[SuggestedFi
     if plan.problem is None:
         return ()
     found: dict[str, SuggestedFix] = {}
-    for cause in _CAUSES if plan.problem.periodic is None else _OF_CYCLES:
+    causes = _CAUSES if plan.problem.periodic is None else _OF_CYCLES
+    for cause in _OF_RECORDINGS if plan.status is Status.GIVEN else causes:
         for one in cause(plan, plan.problem, proof):
             found.setdefault(one.key, one)
         if any(one.value is None for one in found.values()):  # later findings are its effects

@@ -101,7 +101,11 @@ SENTENCES = {
     "docs/questions.md has what others met.",
     "unknown_of_time": "No cause of {failed} is known: write `durations` that are all longer than {duration}, "
     "or a goal nearer to its start; docs/questions.md has what others met.",
+    "unknown_of_recording": "No cause of {failed} is known: is the recording, {duration} long, of this model, from "
+    "this start to this goal?",
     # The stage
+    "rows_too_sparse": "Record, or export by `--rate`, at {rate} or more: at steps of {dt:.4g} between its rows plan "
+    "and MuJoCo differ by {share} what passes, an error that falls with the power {order:.2g} of the step.",
     "first_order": "with {integrator} plan and MuJoCo differ by {share} what passes, an error of first order",
     "stage_too_long": "at {dt:.4g} plan and MuJoCo differ by {share} what passes, an error that falls with the power "
     "{order:.2g} of the stage",

@@ -110,8 +110,10 @@ def iterations_needed(lines: list[Iteration], cost: float) -> int | None:
 
 def not_a_minimum(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """For a solve that converged though its cost may still fall: how to go on, or to skip the optimality check."""
-    if not plan.converged and plan.status not in (Status.GIVEN, Status.INTERRUPTED, Status.NO_DESCENT):
+    if not plan.converged and plan.status not in (Status.INTERRUPTED, Status.NO_DESCENT):
         return []  # what kept it from converging is the cause
+    if proof is not None and not proof.asked.get("optimal", True):
+        return []  # feasibility alone is judged
     failures = {} if proof is None else {one.name: one.value for one in proof.optimality.failures}
     if "decrease_left" in failures:
         return [no_fix("optimal", "not_a_minimum", left=failures["decrease_left"])]
@@ -137,4 +139,5 @@ def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> Suggeste
         failed = [one for section in sections for one in section.failures]
     what = failed[0].name.replace("_", " ") if failed else "the end of the solve"
     code = "unknown_of_time" if seeks_duration(plan) else "unknown"  # whose problem has no duration of its own
+    code = "unknown_of_recording" if plan.status is Status.GIVEN else code
     return no_fix("", code, failed=what, duration=Quantity(problem.duration, "s"))

@@ -49,6 +49,15 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     return [fix(problem, "dt", value, "stage_too_long", **values)]
 
 
+def sparse_rows(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """The rate of a recording at which the stages between its rows would be short enough."""
+    return [
+        no_fix("recording", "rows_too_sparse", rate=Quantity(1.0 / one.value, "Hz"), **one.values)
+        for one in shorter_stage(plan, problem, proof)
+        if one.code == "stage_too_long"
+    ]
+
+
 def contacts_differ(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """That contacts put the replay off its path, where the step explains little of it."""
     if proof is None or not all(one.passed for one in (proof.plan, proof.parity, proof.same_step)):
