@@ -153,14 +153,11 @@ class Limits:
             return None
         if isinstance(self.control, str):
             check_word("control", self.control, "control = 5.0 or { elbow = 5.0 }, in the unit of the actuators")
-            machine = with_names(mechanism, "control")
-            lower, upper = model_bounds(machine, nu)
-            servos = servo_bounds(machine, dynamics.dt, space_of(dynamics).ndx)
-        elif isinstance(self.control, Mapping):
+        if isinstance(self.control, (str, Mapping)):
             machine = with_names(mechanism, "control")
             inputs, given = places(machine, getattr(dynamics, "prescribed", ()))[1], set()
             lower, upper = model_bounds(machine, nu)
-            for name, value in self.control.items():
+            for name, value in self.control.items() if isinstance(self.control, Mapping) else ():
                 place = inputs[choice("the actuator in the limits' control", name, inputs)]
                 if not is_word(value, MODEL):
                     lower[place], upper[place] = pair_of(f"the limit of control {name!r}", value)
@@ -175,10 +172,9 @@ class Limits:
         wrong = np.argwhere(~(lower <= upper) | (lower == np.inf) | (upper == -np.inf))
         if len(wrong):
             n, a = map(int, wrong[0])
-            given = f"{lower[n, a]:g} ... {upper[n, a]:g}"
             raise PlannerError(
-                f"control {a} is limited to {given}, expected a lower bound below the upper: (lower, upper), each a "
-                "number or a row with one for each control."
+                f"control {a} is limited to {lower[n, a]:g} ... {upper[n, a]:g}, expected a lower bound below the "
+                "upper: (lower, upper), each a number or a row with one for each control."
             )
         some = servos is not None or np.isfinite(lower).any() or np.isfinite(upper).any()
         return ControlBounds(lower, upper, servos) if some else None

@@ -319,10 +319,8 @@ def _inner_solve(
 
             # 4. Stopping criteria.
             relinearize = step > 0.0
-            stationary, converged_inexactly = (
-                near_minimum and not relinearize,
-                relinearize and (near_minimum or accurate),
-            )
+            stationary = near_minimum and not relinearize
+            converged_inexactly = relinearize and (near_minimum or accurate)
             if stationary or converged_inexactly or _reductions_are_small(history, options):
                 status = Status.CONVERGED
                 break

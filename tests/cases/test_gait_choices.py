@@ -1,13 +1,16 @@
-"""What a gait chooses: steps of its integrator, where a foot always stands; cycles, where feet hold the machine."""
+"""What a gait chooses (steps of its integrator, its cycles), and how its feet may be called."""
 
 import math
+import re
 
 import numpy as np
 import pytest
-from test_walking_gaits import WALKING, free, loaded
+from test_walking_gaits import FEET, LEGS, SCENE, TURNED, WALKING, free, loaded, phases
 from test_walking_gaits import straight as straight  # a fixture
 
 import planner
+from planner.problem.costs.tracking import tracking_of
+from planner.problem.tasks.foot_names import with_feet_of
 from planner.problem.tasks.gait import STRIDE, TURNS, Gait, _holds, gait_of
 from planner.problem.tasks.legs import height_of, standing_feet
 
@@ -69,3 +72,28 @@ def test_a_machine_that_feet_hold_at_all_times_takes_as_few_cycles_as_its_way_ne
     held = Gait("trot").motion(mechanism, rows, dt, free(mechanism))[1]
     h = height_of(mechanism, rows[0], standing_feet(mechanism, rows[0]))
     assert int(held.split()[1]) == min(int(fall.split()[1]), math.ceil(0.4 / (STRIDE * h)))
+
+
+@pytest.mark.parametrize("what", ["{}_foot", "{}_sole"])
+def test_a_foot_may_be_called_as_its_shape_or_as_a_body_fixed_to_its_shank(what):
+    """A foot is often a body of its own without a joint, which the planner takes with its shank."""
+    text = planner.Mechanism.from_mjcf(SCENE).mjcf
+    own, count = re.subn(r'<geom name="(\w+)_foot"[^>]*/>', r'<body name="\1_sole">\g<0></body>', text)
+    assert count == 4
+    mechanism = planner.Mechanism.from_mjcf(own)
+    gait = gait_of(phases((0.5, [what.format(one) for one in FEET]), (None, [what.format(FEET[0])])))
+    assert [phase.stand for phase in with_feet_of(gait, mechanism).phases] == [LEGS, LEGS[:1]]
+    turns = gait_of({"feet": {what.format(FEET[0]): 0.5, LEGS[1]: 0.0}})
+    assert with_feet_of(turns, mechanism).feet == {LEGS[0]: 0.5, LEGS[1]: 0.0}
+    other = gait_of(phases((None, ["shoe"])))
+    assert with_feet_of(other, mechanism) == other  # to be refused
+
+
+def test_a_file_calls_feet_as_their_shapes(tmp_path):
+    text = TURNED.format(x=0.05, z=0.32, yaw=0.0).replace('gait = "trot"\n', "")
+    references = []
+    for names in (LEGS, [f"{one}_foot" for one in FEET]):
+        lines = f"[[phase]]\nuntil = 0.5\nstand = {list(names)}\n[[phase]]\nstand = {list(names)[::3]}\n"
+        problem = loaded(tmp_path, text.replace("[[goal]]", lines + "[[goal]]"))
+        references.append(tracking_of(problem.cost).x_ref)
+    np.testing.assert_array_equal(*references)

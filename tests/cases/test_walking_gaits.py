@@ -13,7 +13,6 @@ from planner.dynamics.kinematics import center_of_mass, points_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.default_weights import MOVING_SHARE
 from planner.problem.reaching_cost import straight_reference
-from planner.problem.tasks.foot_names import with_feet_of
 from planner.problem.tasks.gait import TURNS, Gait, gait_of
 
 SCENE = ROOT / "mjcf" / "quadruped" / "scene.xml"
@@ -352,31 +351,6 @@ def lifted_foot(mechanism, rows):
     knee = 6 + mechanism.joint_names.index("front_left_knee")  # a free joint has 7 positions
     bent[:, knee] -= 0.6 * np.linspace(0.0, 1.0, len(rows))
     return bent
-
-
-@pytest.mark.parametrize("what", ["{}_foot", "{}_sole"])
-def test_a_foot_may_be_called_as_its_shape_or_as_a_body_fixed_to_its_shank(what):
-    """A foot is often a body of its own without a joint, which the planner takes with its shank."""
-    text = planner.Mechanism.from_mjcf(SCENE).mjcf
-    own, count = re.subn(r'<geom name="(\w+)_foot"[^>]*/>', r'<body name="\1_sole">\g<0></body>', text)
-    assert count == 4
-    mechanism = planner.Mechanism.from_mjcf(own)
-    gait = gait_of(phases((0.5, [what.format(one) for one in FEET]), (None, [what.format(FEET[0])])))
-    assert [phase.stand for phase in with_feet_of(gait, mechanism).phases] == [LEGS, LEGS[:1]]
-    turns = gait_of({"feet": {what.format(FEET[0]): 0.5, LEGS[1]: 0.0}})
-    assert with_feet_of(turns, mechanism).feet == {LEGS[0]: 0.5, LEGS[1]: 0.0}
-    other = gait_of(phases((None, ["shoe"])))
-    assert with_feet_of(other, mechanism) == other  # to be refused
-
-
-def test_a_file_calls_feet_as_their_shapes(tmp_path):
-    text = TURNED.format(x=0.05, z=0.32, yaw=0.0).replace('gait = "trot"\n', "")
-    references = []
-    for names in (LEGS, [f"{one}_foot" for one in FEET]):
-        lines = f"[[phase]]\nuntil = 0.5\nstand = {list(names)}\n[[phase]]\nstand = {list(names)[::3]}\n"
-        problem = loaded(tmp_path, text.replace("[[goal]]", lines + "[[goal]]"))
-        references.append(tracking_of(problem.cost).x_ref)
-    np.testing.assert_array_equal(*references)
 
 
 @pytest.mark.slow
