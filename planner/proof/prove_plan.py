@@ -307,9 +307,7 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
         in_file = () if broken.title == FILE else next(one for one in judged if one.title == FILE).failures
         more += "".join(f" In your file: {one.note}" for one in in_file if one.bound == 0.0)
         if broken.title.startswith("refined") and any(one.title == FILE and one.passed for one in judged):
-            more += (
-                " Your file meets the goals, but with shorter steps the motion is another, so that this is by chance."
-            )
+            more += " Your file passes with it; the plan's own model moves otherwise in shorter steps."
         if run.reached and broken.title != "plan":  # reaching a range causes the other errors
             return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
         return f"{broken.title}: {failures}.{more}"

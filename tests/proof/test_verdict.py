@@ -1,6 +1,7 @@
 """The first line of a verdict: goals of every cost, the path, the cost's own error, and optimality."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,13 +10,14 @@ from rolled_out_plans import rolled_out
 
 import planner
 from planner import FrameCost, Mechanism, Problem, RigidBodyDynamics, TrackingCost, cases
-from planner.base.measured import Measurement
+from planner.base.measured import Measurement, Section
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import MIN_TOLERANCES, SHARE, goals_of, unchecked_goals
 from planner.problem.objective import with_objective
 from planner.proof.consistency import recomputed
 from planner.proof.error_scales import SHARE as OF_RANGE
 from planner.proof.error_scales import path_error_bounds
+from planner.proof.prove_plan import _reason
 
 PENDULUM = """
 <mujoco>
@@ -238,3 +240,11 @@ def test_stops_that_a_plan_keeps_to_its_tolerance_are_not_of_the_same_step():
     limits = planner.Limits(position="model", tolerance=1e-3)
     plan = planner.solve(Problem(dynamics, cost, [0.0, 3.0], limits=limits))
     assert proof_of(plan).same_step.passed
+
+
+@pytest.mark.parametrize("file_passes", [True, False])
+def test_a_plan_that_fails_in_shorter_steps_alone_says_that_its_file_passes(file_passes):
+    off = Measurement("path_angle_error", 2.0, "rad", 1.0, "")
+    judged = Section("refined, open loop", (off,)), Section("your file", () if file_passes else (off,))
+    run = SimpleNamespace(warnings=(), reached=(), plan=None)
+    assert ("Your file passes" in _reason(False, judged, [], run)) is file_passes
