@@ -6,9 +6,8 @@
              increase the weights of components whose violation did not fall enough
     until    violations are within the tolerance, and no multiplier acts at a bound that is not active
 
-Where clearances or ranges are violated between knots by more than at the knots, those of the affected stages are
-tightened, and the rounds continue. Early rounds are so too, while multipliers are estimates anyway. One whose knots are
-nearly within is solved first, and so is one whose motion may have passed through an obstacle.
+Where clearances or ranges are violated between knots, those of the affected stages are tightened, and the rounds
+continue.
 
 The first round has no penalties, and is the only one if its result has no violation. The second takes its weights from
 the result of the first, as ALGENCAN does (Birgin and Martinez 2014): the penalties then cost about as much as J, those
@@ -27,7 +26,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.problem.constraints.trajectory_constraints import BETWEEN_KNOTS, BoundPenalties, TrajectoryConstraints
+from planner.problem.constraints.trajectory_constraints import BoundPenalties, TrajectoryConstraints
 from planner.problem.plan import Iteration, Plan, Status
 from planner.solvers.options import DEFAULT, SolverOptions
 
@@ -62,27 +61,20 @@ def augmented_lagrangian(
     penalties, before = first or constraints.zero_penalties(), np.full(constraints.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan
-    tightenings, inexact = 0, 0.0  # those of plans within the tolerance; that at which the last round ended
-    violations = list[float]()  # largest of each round since the last tightening
+    tightenings, violations = 0, list[float]()  # largest of each round since the last tightening
     for round_ in range(options.max_outer_iterations):
         error = _error(constraints, penalties, plan)
         if plan.status is Status.INTERRUPTED:
             return replace(plan, history=tuple(history), bound_penalties=penalties if round_ else first)
-        within = error.max(initial=0.0) <= tolerance
-        assert plan.problem is not None  # set by solve()
-        more, less, through = constraints.violation_between_knots(plan.problem.dynamics, plan.xs, plan.us)
-        between = max(more.max(initial=0.0), less.max(initial=0.0)) > error.max(initial=0.0)
-        last = tightenings == options.max_tightenings or not between
-        if within and last and inexact and len(history) <= max_iterations:
-            plan, inexact = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), 0.0), 0.0
-            history += plan.history
-            continue
-        if within and last:
-            status = Status.OUTSIDE_LIMITS if more[:, constraints.split :].any() else plan.status
-            return replace(plan, history=tuple(history), status=status, bound_penalties=penalties if round_ else first)
-        early = round_ and not through and error.max(initial=0.0) > BETWEEN_KNOTS * tolerance
-        if not last and (within or early):
-            constraints, tightenings = constraints.tightened(more, less), tightenings + within
+        if error.max(initial=0.0) <= tolerance:
+            assert plan.problem is not None  # set by solve()
+            more, less, through = constraints.violation_between_knots(plan.problem.dynamics, plan.xs, plan.us)
+            if tightenings == options.max_tightenings or not (more.any() or less.any()):
+                status = Status.OUTSIDE_LIMITS if more[:, constraints.split :].any() else plan.status
+                return replace(
+                    plan, history=tuple(history), status=status, bound_penalties=penalties if round_ else first
+                )
+            constraints, tightenings = constraints.tightened(more, less), tightenings + 1
             if through:
                 left, first_line = max_iterations + 1 - len(history), len(history)
                 plan, lines, again = _first_round(constraints, minimize, first_guess, left, first_line, options)
@@ -102,10 +94,13 @@ def augmented_lagrangian(
             else _updated_penalties(constraints, penalties, plan, error, before, options)
         )
         before, inexact = error.max(axis=0), 0.0
-        if error.max() > 3.0 * tolerance:
+        if error.max() > options.exact_rounds_violation * tolerance:
             inexact = _inexact_reduction(penalties, error, options) / max(1.0, abs(plan.cost))
         plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), inexact)
         history += plan.history
+        if inexact and len(history) <= max_iterations and _error(constraints, penalties, plan).max() <= tolerance:
+            plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), 0.0)
+            history += plan.history
     status = plan.status if _error(constraints, penalties, plan).max() <= tolerance else Status.OUTSIDE_LIMITS
     return replace(plan, history=tuple(history), status=status, bound_penalties=penalties)
 

@@ -259,7 +259,7 @@ def _inner_solve(
     """Minimize the cost plus the penalties, if any; the states are used only if `first_line` is 0.
 
     With `inexact_tolerance` it ends before the minimum: once the expected reduction is at most this times max(1, J), or
-    once the actual reduction of a full step differs from the expected one by less. The last step is taken.
+    once the actual reduction of a full step differs from the expected one by less.
     """
     engine, rule, exact = acquire_engine(problem, options.rule), options.rule, options.exact_hessian
     if penalties is not None:
@@ -282,8 +282,7 @@ def _inner_solve(
     regularization = Regularization(engine, exact, exact or states is not None, at_bounds, smooth, options)
     acceleration = AndersonAcceleration(problem, engine, options)
     has_inequalities = problem.limits is not None or problem.trajectory_constraints is not None
-    least = options.expected_reduction_tolerance or np.finfo(float).tiny
-    tolerance = max(inexact_tolerance, least)
+    tolerance = max(inexact_tolerance, options.expected_reduction_tolerance or 0.0)
     relinearize, linearized, stationary, converged_inexactly = True, True, False, False
     try:
         while len(history) < max_iterations and status is not Status.INTERRUPTED:
@@ -296,9 +295,8 @@ def _inner_solve(
 
             # 2. Search along the direction. Convergence is tested only without regularization, which shrinks the
             # expected reduction.
-            size = max(1.0, abs(cost)) if regularization.unregularized else -math.inf
-            at_minimum = direction.definite and direction.is_stationary(options.gradient_tolerance, least * size)
-            near_minimum = direction.definite and direction.is_stationary(options.gradient_tolerance, tolerance * size)
+            min_reduction = tolerance * max(1.0, abs(cost)) if regularization.unregularized else -1.0
+            at_minimum = direction.definite and direction.is_stationary(options.gradient_tolerance, min_reduction)
             step, after = 0.0, cost
             if direction.definite and not at_minimum:
                 step, after = engine.line_search(options.feedback, rule, cost, direction.slope)
@@ -308,7 +306,7 @@ def _inner_solve(
             model_error = abs(cost - after - expected)
             accurate = step == 1.0 and regularization.unregularized
             accurate = accurate and model_error < inexact_tolerance * max(1.0, abs(cost))
-            if step > 0.0 and not accurate and not near_minimum and options.accelerated:
+            if step > 0.0 and not accurate and options.accelerated:
                 after = acceleration.extrapolate(cost, after, step, expected)
             number, weight = first_line + len(history), regularization.weight
             line = Iteration(number, cost, direction.gradient_norm, step, expected, cost - after, weight)
@@ -318,9 +316,7 @@ def _inner_solve(
                 callback(line)
 
             # 4. Stopping criteria.
-            relinearize = step > 0.0
-            stationary = near_minimum and not relinearize
-            converged_inexactly = relinearize and (near_minimum or accurate)
+            stationary, converged_inexactly, relinearize = at_minimum, accurate, step > 0.0
             if stationary or converged_inexactly or _reductions_are_small(history, options):
                 status = Status.CONVERGED
                 break

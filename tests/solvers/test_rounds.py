@@ -88,17 +88,6 @@ def test_speeds_that_a_free_plan_exceeds_take_less_than_twice_its_iterations():
         assert plan.nit <= 2 * free.nit  # 33, 24 and more beside 25; 48 and 42 where each round had a last line
 
 
-def test_ranges_between_knots_are_tightened_in_early_rounds():
-    free = solve(two_link(horizon=100), states="line")
-    most = 0.6 * np.abs(free.xs[:, 2:]).max(axis=0)
-    names = free.problem.dynamics.mechanism.joint_names
-    held = dataclasses.replace(free.problem, limits=Limits(velocity=dict(zip(names, most, strict=True))))
-    plan = solve(held, states="line")
-    assert plan.status is Status.CONVERGED
-    assert plan.nit <= 45  # 41; 49 where they wait until the knots are within, and an early round's last step is lost
-    assert plan.cost == pytest.approx(20.305, rel=1e-4)
-
-
 def test_short_steps_far_from_the_end_of_a_round_are_regularized():
     """A hand in free flight, whose full steps promise much and are wrong beyond a thousandth of it.
 
