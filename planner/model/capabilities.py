@@ -106,9 +106,16 @@ def stationary_object_dofs(mechanism: Mechanism) -> np.ndarray:
 
 
 def stands_on_ground(mechanism: Mechanism) -> bool:
-    """Whether contacts with planes carry the machine; those of objects beside it do not count."""
+    """Whether contacts with planes carry the machine; those of objects beside it do not count.
+
+    Nor do those of an arm that the world holds, whose joints are all driven: it may touch the ground, and stands on its
+    own.
+    """
     actuated, root = mechanism.directly_actuated, roots(mechanism)
-    machine = np.isin(root, root[actuated]) if actuated.any() else np.ones(mechanism.nv, dtype=bool)
+    loose = np.any(unactuated_basis(mechanism) != 0.0, axis=1)
+    machine = np.isin(root, root[loose])
+    if actuated.any():
+        machine &= np.isin(root, root[actuated])
     return any(machine[contact.link] for contact in mechanism.contacts)
 
 

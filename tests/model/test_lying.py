@@ -142,3 +142,17 @@ def test_what_only_the_ground_touches_in_the_plan_has_no_goal_elsewhere(tmp_path
             load(tmp_path / "p.toml")
     else:
         load(tmp_path / "p.toml")
+
+
+@pytest.mark.parametrize(("joints", "stands"), [(2, False), (1, True)], ids=["driven", "with a joint that is not"])
+def test_an_arm_that_the_world_holds_stands_on_its_own_though_its_hand_may_touch_the_floor(joints, stands):
+    motors = "".join(f'<motor joint="j{k}"/>' for k in range(joints))
+    m = Mechanism.from_mjcf(
+        f"""<mujoco><worldbody>{FLOOR}<body pos="0 0 .6"><joint name="j0" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 .2 0 0" size=".02" mass="1" contype="0" conaffinity="0"/>
+        <body pos=".2 0 0"><joint name="j1" axis="0 1 0"/><geom name="hand" size=".05" mass="1"/></body></body>
+        </worldbody><actuator>{motors}</actuator></mujoco>""",
+        contacts=planner.contact.ContactLaw.resting(1.0),
+    )
+    assert m.contacts
+    assert stands_on_ground(m) == stands
