@@ -118,6 +118,19 @@ def base_problem(problem: Problem) -> Problem:
     return problem if problem.objective is None else replace(problem, cost=problem.objective.base, objective=None)
 
 
+def without_objective(problem: Problem) -> Problem:
+    """The problem without its objective; that of a file has its default weights again."""
+    if (recipe := problem.recipe) is None or recipe.build is None or recipe.parameters.get("objective") is None:
+        return base_problem(problem)
+    return recipe.rebuilt(objective=None, durations=None, resolved=None)
+
+
+def smoothing_of(problem: Problem | None) -> dict[str, float]:
+    """The smoothing of the energy that a problem's objective has, W; nothing without one."""
+    own = None if problem is None or problem.objective is None else problem.objective.smoothing
+    return {} if own is None else {"smoothing": own}
+
+
 def solver_problem(problem: Problem) -> Problem:
     """Drop cost terms that no control affects; for jerk, append the previous acceleration to the state."""
     if problem.objective is None:

@@ -34,7 +34,7 @@ from planner.problem.costs.terms import call_if_supported
 from planner.problem.objective import base_problem, with_objective
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.problem.problem_parts import MAX_STAGES
+from planner.problem.problem_parts import FOUND, MAX_STAGES
 
 FINEST = "rk4"  # of explicit integrators
 UNRESOLVED = 0.05  # of a range of motion: as the loosest bound of a path in a proof, whose replay measures
@@ -86,11 +86,13 @@ def finer(problem: Problem, keep_substeps: bool = False) -> Problem:
 def retimed(problem: Problem, duration: float) -> Problem:
     """The same task with the same number of stages in another duration (s); first guess of the controls unchanged.
 
+    A duration that was found for time is found no longer.
+
     Raises:
         PlannerError: Parts without with_step and resampled.
     """
     if problem.objective is not None:
-        return with_objective(retimed(base_problem(problem), duration), problem.objective.stored)
+        return with_objective(retimed(base_problem(problem), duration), problem.objective.stored | {FOUND: False})
     dt = duration / problem.N
     if problem.recipe is not None and "duration" in problem.recipe.parameters:
         names = problem.recipe.parameters

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -24,17 +23,23 @@ import numpy as np
 
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
-from planner.model.capabilities import capabilities_of
 from planner.problem.costs.motors import EnergyCost
 from planner.problem.limits import EXACT, Limits
-from planner.problem.objective import base_problem, with_found_duration, with_objective
+from planner.problem.objective import (
+    base_problem,
+    smoothing_of,
+    with_found_duration,
+    with_objective,
+    without_objective,
+)
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import checked_durations, durations_or_default, weights_of
 from planner.problem.rediscretize import retimed
-from planner.solvers.gains import warm_start
+from planner.solvers.gains import at_pace, warm_start
 from planner.solvers.options import single_start, with_overrides
 from planner.solvers.slq import as_user_plan, solve
+from planner.solvers.trapped import largest_violation
 from planner.solvers.waypoints import best_waypoints, free_waypoints
 from planner.solvers.work import WorkBudget, budget_of, record_of_cut
 
@@ -103,6 +108,8 @@ def solve_for(
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem.")
     if objective is None:
         objective = "effort" if problem.objective is None else problem.objective.weights
+    else:
+        problem = base_problem(problem)  # of its own objective nothing stays
     weights = weights_of(objective)
     own = problem.parameters.get("durations") if durations is None and "time" in weights else durations
     between = checked_durations(durations_or_default(own, weights, problem.duration), weights)
@@ -138,10 +145,11 @@ def _in_its_duration(
         wanted = with_objective(problem, before.problem.objective.stored)
         again: dict[str, Any] = single_start(options) | {"warm_start": before}
         return solve(wanted, callback=callback, **again)
-    default = _without_objective(problem)
+    default = without_objective(problem)
     if set(weights) != {"effort"} or default.cost is not base_problem(problem).cost:
         usual = solve(default, **single_start(options))
-        wanted = replace(with_objective(problem, weights | _smoothing(problem, weights, usual)), us=usual.us)
+        smoothing = smoothing_of(problem) or _smoothing(problem, weights, usual)
+        wanted = replace(with_objective(problem, weights | smoothing), us=usual.us)
     return solve(wanted, callback=callback, **options)
 
 
@@ -154,19 +162,23 @@ def _over_durations(
     search = _DurationSearch(problem, weights, options, callback)
     if before is not None:
         search.plans[own := float(before.t[-1])] = before
-        if before.problem is not None and before.problem.objective is not None:
-            stored = before.problem.objective.stored
-            search.smoothing = {name: stored[name] for name in ("smoothing",) if name in stored}
+        search.smoothing = smoothing_of(before.problem)
         longest = min(longest, own * (1.0 - 2.0 * tolerance) if alone else own / _SHRINK)
         shortest = max(shortest, 0.0 if alone else _SHRINK * own)
         search.problem = retimed(problem, float(np.clip(own, shortest, longest)))
         if shortest >= longest:
             return None
-    with suppress(_Cut):
+    try:
         # At the best duration the objective does not change with it, so what is not better there is no better near it.
         if before is not None and not alone and search.at(own, search.total) >= before.cost:
             return None
         (_least if alone else _cheapest)(search, shortest, longest, tolerance)
+    except _Cut:
+        pass
+    except (KeyboardInterrupt, StopIteration):
+        if before is not None or search.last is None:
+            raise  # best_waypoints has the plan before
+        search.interrupted = True
     if before is not None and search.best is None:
         return None
     return search.best_plan({"durations": list(between), "tolerance": tolerance})
@@ -177,13 +189,6 @@ def _smoothing(problem: Problem, weights: Mapping[str, float], usual: Plan) -> d
     if "energy" not in weights:
         return {}
     return {"smoothing": EnergyCost(problem.dynamics).smoothing_along(usual.xs, usual.us)}
-
-
-def _without_objective(problem: Problem) -> Problem:
-    """The problem without its objective; that of a file has its default weights again."""
-    if (recipe := problem.recipe) is None or recipe.build is None or recipe.parameters.get("objective") is None:
-        return base_problem(problem)
-    return recipe.rebuilt(objective=None, durations=None, resolved=None)
 
 
 def _exact(problem: Problem) -> Problem:
@@ -221,12 +226,12 @@ class _DurationSearch:
         self.relaxed = options
         rest = {name: weight for name, weight in weights.items() if name != "time"}
         self.rest, self.alone = rest or {"effort": 1.0}, not rest
-        self.smoothing: dict[str, float] = {}  # of energy: that of the first duration
+        self.smoothing = smoothing_of(problem)  # of energy: else that of the first duration
         self.tried: list[DurationTrial] = []
         self.plans: dict[float, Plan] = {}  # feasible plans by duration
         self.last: Plan | None = None
         self.best: tuple[float, float] | None = None  # lowest value, and its duration
-        self.budget, self.is_cut = options.get("budget"), False
+        self.budget, self.is_cut, self.interrupted = options.get("budget"), False, False
 
     def at(self, duration: float, value: Callable[[DurationTrial], float], begin: str = NEAREST) -> float:
         """Solve at a duration, s; the value of its trial, infinite if the limits are violated.
@@ -251,9 +256,9 @@ class _DurationSearch:
             if self.alone:
                 options = options | {"warm_start": self.plans[nearest].stretched(duration)}
             else:
-                problem = replace(problem, us=warm_start(_at_pace(self.plans[nearest], nearest / duration), problem))
+                problem = replace(problem, us=warm_start(at_pace(self.plans[nearest], nearest / duration), problem))
         elif problem.bounds is not None or set(self.rest) != {"effort"}:
-            free = retimed(_without_objective(self.problem), duration)
+            free = retimed(without_objective(self.problem), duration)
             if not free.constraints:  # else a path through an obstacle is a bad guess
                 free = replace(free, limits=None)
             usual = solve(free, **single_start(options))
@@ -261,9 +266,14 @@ class _DurationSearch:
                 self.smoothing = _smoothing(problem, self.rest, usual)
                 problem = with_objective(problem, self.rest | self.smoothing)
             problem = replace(problem, us=warm_start(usual, problem))
+            if usual.status is Status.INTERRUPTED:
+                self.last = self.last or as_user_plan(
+                    problem, replace(usual, us=problem.us, history=(), bound_penalties=None)
+                )
+                raise KeyboardInterrupt
         looks = self.alone and bool(self.plans) and begin != AFRESH
         plan, iterations = self._by_looks(problem, options) if looks else (solve(problem, **options), None)
-        self.last, outside = plan, _outside(problem, plan)
+        self.last, outside = plan, largest_violation(problem, plan)
         iterations = plan.nit if iterations is None else iterations
         line = DurationTrial(len(self.tried), duration, plan.cost, outside, iterations, plan.status)
         self.tried.append(line)
@@ -296,11 +306,11 @@ class _DurationSearch:
         assert problem.limits is not None  # set by _exact
         left = with_overrides(options.get("options"), max_iterations=options.get("max_iterations")).max_iterations
         tolerance, iterations, given = problem.limits.tolerance, 0, options
-        for most, largest in ((LOOK, MAX_VIOLATION_RATIO * tolerance), (SECOND_LOOK, tolerance), (left, 0.0)):
-            part: dict[str, Any] = given | {"max_iterations": min(most, left)}
+        for limit, largest in ((LOOK, MAX_VIOLATION_RATIO * tolerance), (SECOND_LOOK, tolerance), (left, 0.0)):
+            part: dict[str, Any] = given | {"max_iterations": min(limit, left)}
             plan = solve(problem, **part)
-            iterations, left = iterations + plan.nit, left - min(most, left)
-            if plan.status is not Status.MAX_ITERATIONS or left == 0 or not _outside(problem, plan) <= largest:
+            iterations, left = iterations + plan.nit, left - min(limit, left)
+            if plan.status is not Status.MAX_ITERATIONS or left == 0 or not largest_violation(problem, plan) <= largest:
                 break
             given = options | {"warm_start": plan}
         return plan, iterations
@@ -313,16 +323,12 @@ class _DurationSearch:
         wanted = with_found_duration(with_objective(plan.problem, self.weights | self.smoothing))
         tried = [[line.duration, line.cost, line.violation] for line in self.tried]
         plan = replace(as_user_plan(wanted, plan), options=plan.options | options | {"tried": tried})
+        if self.interrupted:
+            return replace(plan, status=Status.INTERRUPTED)
         budget = self.budget if self.is_cut and plan.converged else None
         if budget is None:
             return plan
         return replace(plan, status=budget.end, options=plan.options | record_of_cut(budget.end, budget))
-
-
-def _outside(problem: Problem, plan: Plan) -> float:
-    """Largest violation of limits and constraints by a plan, rad, m, rad/s, m/s."""
-    kept = problem.trajectory_constraints
-    return 0.0 if kept is None else float(np.max(kept.violation(plan.xs, plan.us), initial=0.0))
 
 
 def _least(search: _DurationSearch, shortest: float, longest: float, tolerance: float) -> None:
@@ -383,18 +389,9 @@ def _cheapest(search: _DurationSearch, shortest: float, longest: float, toleranc
         return
     ends = ladder[max(i - 1, 0)], ladder[min(i + 1, len(ladder) - 1)]
     # A large number in place of infinity, which Brent's parabolic interpolation does not support.
-    most = 10.0 * max(abs(value) for value in values.values() if math.isfinite(value))
+    largest = 10.0 * max(abs(value) for value in values.values() if math.isfinite(value))
     from scipy.optimize import minimize_scalar  # half a second of import, for free times only
 
     minimize_scalar(
-        lambda T: min(total(T), most), bounds=ends, method="bounded", options={"xatol": tolerance * ladder[i]}
+        lambda T: min(total(T), largest), bounds=ends, method="bounded", options={"xatol": tolerance * ladder[i]}
     )
-
-
-def _at_pace(plan: Plan, pace: float) -> Plan:
-    """The plan with velocities scaled by `pace` and unchanged controls, for a warm start at another duration."""
-    assert plan.problem is not None
-    mechanism, xs = capabilities_of(plan.problem.dynamics).mechanism, plan.xs.copy()
-    if mechanism is not None:
-        xs[:, mechanism.velocities] *= pace
-    return replace(plan, xs=xs)

@@ -41,6 +41,7 @@ from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics.protocol import feedback_control, rollout
 from planner.dynamics.rigid_body import RigidBodyDynamics
+from planner.model.capabilities import capabilities_of
 from planner.model.space import space_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.control_bounds import StepBounds
@@ -228,6 +229,15 @@ def tracked_warm_start(
     if retuned is not None:
         cost, found = feedback_rollout(problem, us, retuned, xs)
     return (found, None, penalties) if cost <= near else (us, xs, penalties)
+
+
+def at_pace(plan: Plan, pace: float) -> Plan:
+    """The plan with velocities scaled by `pace` and unchanged controls, for a warm start at another duration."""
+    assert plan.problem is not None
+    mechanism, xs = capabilities_of(plan.problem.dynamics).mechanism, plan.xs.copy()
+    if mechanism is not None:
+        xs[:, mechanism.velocities] *= pace
+    return replace(plan, xs=xs)
 
 
 def feedback_rollout(

@@ -66,17 +66,21 @@ from planner.solvers.trapped import (
     NEAR,
     failed,
     is_at_goals,
+    is_better,
     is_cheaper,
+    is_promising,
     is_settled,
     is_trapped,
     lacks_only_weight,
     lacks_weight,
     look_iterations,
+    may_replace,
     meets_goals,
     stays_away,
 )
 from planner.solvers.work import WorkBudget
 
+MOVING_SHARE = 0.1  # of the cost of a plan that touches nothing: one that is cheaper by it moves what is to be moved
 DISTANT_ITERATIONS = 100  # after which a solve with forces at a distance goes on only if its plan is kept
 SWING_FACTOR = 2.0  # of the limits, at which branches with other numbers of swings begin
 MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, after which no others are tried
@@ -165,16 +169,17 @@ class _Relaxation:
         plan = None
         if has_softer(problem):
             plan = self._by_forces_at_a_distance(direct) if failed(direct) and self._distant() else None
-            plan = plan or self._by_smoother_friction(direct) or self._by_softer_contacts(direct)
+            if plan is None or not meets_goals(plan):
+                other = self._by_smoother_friction(plan or direct) or self._by_softer_contacts(plan or direct)
+                ways = [one for one in (other, plan) if one is not None]
+                plan = min(ways, key=lambda one: (not meets_goals(one), one.cost), default=None)
         elif stopped or not meets_goals(direct):
             plan = self._by_other_guesses(direct)
         worse = plan is None or (plan.cost >= direct.cost if has_softer(problem) else not meets_goals(plan))
         if stopped and worse:
             spent = sum(step.iterations for step in self.steps if step.stage in ("direct", "resumed"))
             direct = self._resumed(direct, limit - spent)
-        if plan is not None and (
-            plan.cost < direct.cost or (failed(direct) and (meets_goals(plan) or not math.isfinite(direct.cost)))
-        ):
+        if plan is not None and is_better(plan, direct):
             self.best = direct = replace(plan, starts=direct.starts)
         if not (failed(direct) and at_limits(problem, direct)) or lacks_only_weight(problem, direct):
             return direct
@@ -207,30 +212,28 @@ class _Relaxation:
         The one that was cut at the lowest cost goes on if none converges at less.
         """
         costs = [direct.cost] if direct.converged else []
-        ended, cut = list[Plan](), list[Plan]()
+        ended, cut = list[Plan](), list[tuple[str, Plan]]()
         for k, (stage, states, us) in enumerate(other_guesses(self.problem)):
-            most = WorkBudget(GUESS_WORK / 2**k).iterations(self.problem, self.options.max_iterations)
-            allowed = self._allowed(self.problem, max(most, Continuation.look_iterations))
+            share = WorkBudget(GUESS_WORK / 2**k).iterations(self.problem, self.options.max_iterations)
+            allowed = self._allowed(self.problem, max(share, Continuation.look_iterations))
             plan = self.solve_one(self.problem, self.options, states, None, us, allowed, None)
             if self._report(stage, 1.0, plan, plan.converged and not plan.missed_goals):
                 return plan
             again = plan.converged and any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in costs)
             costs += [plan.cost] if plan.converged else []
             ended += [plan] if plan.converged else []
-            cut += [plan] if plan.status is Status.MAX_ITERATIONS and self._is_better(plan, direct) else []
+            cut += [(stage, plan)] if plan.status is Status.MAX_ITERATIONS else []
             if again and not (stage == "held" and pair_clearance_of(self.problem.constraints)):
                 break  # held before an obstacle it is on the same side of it
-        best = min(ended, key=lambda plan: plan.cost, default=None)
-        first = min(cut, key=lambda plan: plan.cost, default=None)
-        if first is not None and (best is None or first.cost < best.cost):
-            plan = self._resumed(first, self.options.max_iterations - first.nit)
-            best = plan if best is None or meets_goals(plan) else best
-        return best if best is not None and self._is_better(best, direct) else None
-
-    def _is_better(self, plan: Plan, direct: Plan) -> bool:
-        """Whether a plan costs less than the direct one by BETTER_SHARE, or that one alone is outside of its limits."""
-        outside = direct.status is Status.OUTSIDE_LIMITS and plan.status is not Status.OUTSIDE_LIMITS
-        return outside or is_cheaper(plan, direct, BETTER_SHARE)
+        lowest = min((plan.cost for plan in ended), default=math.inf)
+        stage, first = min(cut, key=lambda one: one[1].cost, default=("", None))
+        if first is not None and first.cost < lowest and is_promising(first, direct):
+            plan = self._resumed(first, self.options.max_iterations - first.nit, stage)
+            if plan.converged and not plan.missed_goals:
+                return plan
+            ended.append(plan)
+        better = [plan for plan in ended if may_replace(plan, direct) and is_promising(plan, direct)]
+        return min(better, key=lambda plan: (not plan.converged, plan.cost), default=None)
 
     def _distant(self) -> bool:
         """Whether objects are to be moved that nothing touches: no motion nearby reaches them."""
@@ -239,11 +242,11 @@ class _Relaxation:
     def _by_forces_at_a_distance(self, direct: Plan) -> Plan | None:
         """The plan of the problem that one whose objects feel their pushers from afar leads to, else None.
 
-        The direct one touches nothing: one that costs less by the share NEAR moves what is to be moved, and is kept.
+        The direct one touches nothing: one that costs less by MOVING_SHARE moves what is to be moved, and is kept.
         """
 
         def is_kept(plan: Plan) -> bool:
-            return meets_goals(plan) or is_cheaper(plan, direct, NEAR)
+            return meets_goals(plan) or is_cheaper(plan, direct, MOVING_SHARE)
 
         family = DistantContacts(self.problem)
         first = self._solve(family.at(family.factor), None, FIRST_ITERATIONS)
@@ -256,7 +259,11 @@ class _Relaxation:
             max_solves=2 * halvings + 16, look_iterations=DISTANT_ITERATIONS, meets_goals=is_kept,
         )  # fmt: skip
         s, plan = steps.run(s, first)
-        return plan if s == 0.0 else None
+        if s > 0.0:
+            return None
+        if is_better(plan, direct):
+            self.best = replace(plan, starts=direct.starts)  # where another way is cut
+        return plan
 
     def _by_smoother_friction(self, direct: Plan) -> Plan | None:
         """The plan of the problem from that of one whose friction loss has no kink, where both meet their goals."""
@@ -300,17 +307,17 @@ class _Relaxation:
         at_goals = meets_goals(direct) or lacks_weight(self.problem, direct)
         return at_goals and (stays_on_feet(self.problem, direct.xs) or is_settled(direct))
 
-    def _resumed(self, direct: Plan, iterations: int) -> Plan:
-        """The direct solve from where direct_iterations stopped it, for so many iterations at most."""
+    def _resumed(self, plan: Plan, iterations: int, stage: str = "resumed") -> Plan:
+        """A solve from where its iterations stopped it, for so many more at most; by default the direct one."""
         if iterations <= 0:
-            return direct
+            return plan
         allowed = self._allowed(self.problem, iterations)
-        plan = self.solve_one(self.problem, self.options, None, direct.bound_penalties, direct.us, allowed, None)
-        plan = replace(plan, starts=direct.starts)
-        if plan.cost <= direct.cost:
-            self.best = plan
-        self._report("resumed", 1.0, plan, not failed(plan))
-        return plan
+        further = self.solve_one(self.problem, self.options, None, plan.bound_penalties, plan.us, allowed, None)
+        further = replace(further, starts=plan.starts)
+        if self.best is plan and further.cost <= plan.cost:
+            self.best = further
+        self._report(stage, 1.0, further, not failed(further))
+        return further
 
     def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
         """The free plan, then those of other numbers of swings that meet the goal in wider limits, and their s."""

@@ -150,8 +150,8 @@ def solve(
     work = budget_of(budget)
     if work is not None:
         deadline = work.deadline
-        most = work.iterations(problem, asked, settings.starts, is_in_numpy(problem, settings.rule))
-        settings = with_overrides(settings, max_iterations=most)
+        affordable = work.iterations(problem, asked, settings.starts, is_in_numpy(problem, settings.rule))
+        settings = with_overrides(settings, max_iterations=affordable)
     whole = with_overrides(settings, max_iterations=asked)
     beside = penalties = None
     if warm_start is not None:
@@ -176,8 +176,8 @@ def solve(
 
     def solved(guess: np.ndarray) -> Plan:
         if settings.starts == 1:
-            most = direct_iterations(core, whole) if may_relax else asked
-            return solve_one(guess, min(settings.max_iterations, most), callback)
+            limit = direct_iterations(core, whole) if may_relax else asked
+            return solve_one(guess, min(settings.max_iterations, limit), callback)
         pilot, others = partial(solve_one.func, core, settings, None, None, **solve_one.keywords), solve_one
         if states is None and (line := line_to_the_end(core)) is not None:
             others = partial(solve_one.func, core, settings, line, penalties, **solve_one.keywords)

@@ -11,7 +11,7 @@ from planner.problem.goals import goals_of, missed_goal_message
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.thrust import missing_thrust
-from planner.solvers.continuation import Continuation, has_softer, share_at_limits
+from planner.solvers.continuation import BETTER_SHARE, Continuation, has_softer, share_at_limits
 from planner.solvers.options import DEFAULT, SolverOptions
 
 MAX_QUICK_ITERATIONS = Continuation.look_iterations  # of a direct solve with contacts: then it crawls along their kinks
@@ -108,3 +108,38 @@ def is_at_goals(plan: Plan) -> bool:
 def is_cheaper(plan: Plan, direct: Plan, share: float) -> bool:
     """Whether a plan, converged or not, costs less than the direct one by a share of its cost."""
     return plan.cost < direct.cost - share * abs(direct.cost)
+
+
+def is_promising(plan: Plan, direct: Plan) -> bool:
+    """Whether a plan costs less than the direct one by BETTER_SHARE, or that one alone is outside of its limits."""
+    outside = direct.status is Status.OUTSIDE_LIMITS and plan.status is not Status.OUTSIDE_LIMITS
+    return outside or is_cheaper(plan, direct, BETTER_SHARE)
+
+
+def largest_violation(problem: Problem, plan: Plan) -> float:
+    """Largest violation of limits and constraints by a plan, rad, m, rad/s, m/s."""
+    constraints = problem.trajectory_constraints
+    return 0.0 if constraints is None else float(np.max(constraints.violation(plan.xs, plan.us), initial=0.0))
+
+
+def may_replace(plan: Plan, direct: Plan) -> bool:
+    """Whether a plan may take the direct one's place by its cost, which says nothing of a way through its limits.
+
+    It has converged, or is within its limits where the direct one has not converged either.
+    """
+    if plan.converged or direct.converged or plan.problem is None or plan.status is Status.OUTSIDE_LIMITS:
+        return plan.converged
+    constraints = plan.problem.trajectory_constraints
+    return constraints is None or largest_violation(plan.problem, plan) <= constraints.tolerance
+
+
+def is_better(plan: Plan, direct: Plan) -> bool:
+    """Whether the plan that another way leads to costs less than the direct one, or meets goals that this one misses.
+
+    No plan that has failed replaces a success, and none that has not converged or is not at its goals a converged one.
+    """
+    if failed(plan) and not failed(direct):
+        return False
+    if direct.converged and not (plan.converged or meets_goals(plan)):
+        return False
+    return plan.cost < direct.cost or (failed(direct) and (meets_goals(plan) or not math.isfinite(direct.cost)))

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.base.errors import PlannerError
 from planner.problem.objective import base_problem
-from planner.problem.plan import Plan
+from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.tasks.goal import Goal
 from planner.problem.tasks.poses import Poses
@@ -97,24 +97,31 @@ def best_waypoints(
     waypoints, goals = free_waypoints(problem), [Goal(**one) for one in problem.parameters["goal"]]
     best = solved(problem, None)
     assert best is not None  # there is no better one before the first
+    if best.status is Status.INTERRUPTED:
+        return best
     stages = np.array([round(problem.N * float(goals[k].share or 1.0)) for k in waypoints])
     step, trials = max(1, round(FIRST_STEP * problem.N)), MAX_TRIALS
-    while step:
-        better = False
-        for move in _moves(_downhill(best, stages)):
-            tried = with_stages(goals, waypoints, stages + step * move, problem.N)
-            at = np.array([round(problem.N * float(tried[k].share or 1.0)) for k in waypoints])
-            if (at == stages).all():
-                continue
-            if trials == 0 or (budget is not None and budget.exhausted):
-                return best
-            trials -= 1
-            plan = solved(_with_goals(problem, tried), best)
-            better = plan is not None and value(plan) < value(best) - LEAST_GAIN * abs(value(best))
-            if plan is not None and better:
-                best, stages = plan, at
-                break
-        step = step if better else step // 2
+    try:
+        while step:
+            better = False
+            for move in _moves(_downhill(best, stages)):
+                tried = with_stages(goals, waypoints, stages + step * move, problem.N)
+                at = np.array([round(problem.N * float(tried[k].share or 1.0)) for k in waypoints])
+                if (at == stages).all():
+                    continue
+                if trials == 0 or (budget is not None and budget.exhausted):
+                    return best
+                trials -= 1
+                plan = solved(_with_goals(problem, tried), best)
+                if plan is not None and plan.status is Status.INTERRUPTED:
+                    raise KeyboardInterrupt
+                better = plan is not None and value(plan) < value(best) - LEAST_GAIN * abs(value(best))
+                if plan is not None and better:
+                    best, stages = plan, at
+                    break
+            step = step if better else step // 2
+    except (KeyboardInterrupt, StopIteration):
+        return replace(best, status=Status.INTERRUPTED)
     return best
 
 

@@ -10,7 +10,7 @@ from planner.__main__ import main
 from planner.cases.plan_file import load_plan
 from planner.costs import with_objective
 from planner.problem.objective import seeks_duration
-from planner.problem.rediscretize import finer
+from planner.problem.rediscretize import finer, lengthened, retimed
 
 BOTH = {"effort": 1.0, "time": 20.0}
 
@@ -47,6 +47,8 @@ def test_a_plan_keeps_its_duration_when_it_is_solved_again(tmp_path):
     kept = planner.solve(problem, warm_start=plan)
     assert kept.t[-1] == pytest.approx(problem.duration, rel=1e-12)
     assert seeks_duration(kept.problem)
+    for other in (retimed(plan.problem, 3.0), lengthened(plan.problem, 1.5)):  # s; that nobody has found
+        assert seeks_duration(other)
 
 
 def test_only_a_duration_that_was_chosen_is_called_optimal():

@@ -10,6 +10,7 @@ from scipy.optimize import root
 
 import planner
 from planner import Limits, cases
+from planner.costs import with_objective
 from planner.problem.plan import Status
 from planner.proof.diagnostics import suggested_fixes
 from planner.solvers import free_time, other_guesses
@@ -135,3 +136,45 @@ def test_a_search_that_its_work_cuts_says_what_to_write():
     assert cut.options["work"] == 2e-3
     assert "search_cut" in [one.code for one in suggested_fixes(cut)]
     assert {one.key for one in suggested_fixes(cut)}.isdisjoint({"starts", "duration"})
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, StopIteration])
+@pytest.mark.parametrize("objective", ["time", {"effort": 1.0, "time": 2.0}], ids=["time", "effort and time"])
+def test_a_search_that_is_interrupted_returns_the_best_plan_so_far(objective, stop):
+    """Of three trials, from 4 s on and shorter each time, the third is the best: of effort and time 1.73 s are."""
+    trials = []
+
+    def callback(line):
+        trials.append(line)
+        if len(trials) == 3:
+            raise stop
+
+    plan = planner.solve_for(cart(control=5.0), objective, durations=(0.5, 8.0), callback=callback)
+    assert plan.status is Status.INTERRUPTED
+    assert plan.t[-1] == pytest.approx(trials[1].duration)  # the third is not judged any more
+    assert len(plan.options["tried"]) == 3
+    assert plan.message == Status.INTERRUPTED.value
+
+
+def test_ctrl_c_in_the_free_solve_before_the_first_trial_ends_the_search(monkeypatch):
+    """That solve only gives a first guess: its plan is a motion of the problem without limits."""
+    solved = []
+
+    def interrupted(problem, **options):
+        solved.append(problem)
+        return replace(planner.solve(problem, max_iterations=1), status=Status.INTERRUPTED)
+
+    monkeypatch.setattr(free_time, "solve", interrupted)
+    plan = planner.solve_for(cart(control=5.0), "time", durations=(0.5, 8.0))
+    assert plan.status is Status.INTERRUPTED
+    assert [one.limits for one in solved] == [None]
+    assert plan.problem.limits.final == "exact"
+
+
+def test_a_search_keeps_the_smoothing_that_an_objective_has():
+    """Another objective has its own, from the plan of least effort."""
+    weights = {"energy": 1.0, "effort": 1.0, "time": 2.0}
+    problem = with_objective(cart(), weights | {"smoothing": 0.03})
+    for plan in (planner.solve(problem), planner.solve_for(with_objective(cart(), {"energy": 1.0, "smoothing": 0.03}))):
+        assert plan.problem.objective.smoothing == 0.03
+    assert planner.solve_for(problem, weights, tolerance=0.1).problem.objective.smoothing != 0.03

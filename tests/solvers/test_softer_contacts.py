@@ -9,6 +9,7 @@ import pytest
 import planner
 from planner.dynamics import RigidBodyDynamics, body_contact_forces
 from planner.problem.plan import Status
+from planner.solvers import relaxation
 from planner.solvers.continuation import REACH, DistantContacts, SofterContacts, has_softer, stays_on_feet
 from planner.solvers.engine import CompiledEngine, NumpyEngine, acquire_engine
 from planner.solvers.options import SolverOptions
@@ -207,6 +208,23 @@ def test_from_afar_plans_are_kept_that_miss_the_goal_and_cost_less(push, push_pl
     if goes_on:
         assert plan.xs is push_plan.xs
         assert not plan.missed_goals
+
+
+@pytest.mark.parametrize("other", ["none", "there", "as far"])
+def test_an_object_that_is_moved_part_of_the_way_leaves_other_ways_to_it(monkeypatch, push, push_plan, other):
+    """Forces at a distance that end without the goal, at less cost, are the answer only if nothing better is found."""
+    direct = planner.solve(push, DIRECT)
+    halfway = replace(direct, cost=0.5 * direct.cost)
+    dearer = {
+        "none": None,
+        "there": replace(push_plan, cost=0.6 * direct.cost),
+        "as far": replace(direct, cost=0.6 * direct.cost),
+    }
+    ways = {"_by_forces_at_a_distance": halfway, "_by_smoother_friction": None, "_by_softer_contacts": dearer[other]}
+    for name, plan in ways.items():
+        monkeypatch.setattr(relaxation._Relaxation, name, lambda self, direct, plan=plan: plan)
+    plan, _ = relax(push, direct, lambda asked, *_: replace(direct, problem=asked), SolverOptions(), None)
+    assert plan.cost == (0.6 if other == "there" else 0.5) * direct.cost
 
 
 def test_other_contacts_keep_the_compiled_engine_and_other_masses_do_not(problem):

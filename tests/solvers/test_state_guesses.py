@@ -228,6 +228,17 @@ def test_a_smaller_closing_share_ends_nearer_to_the_states():
     assert found[0.01][1] > found[1.0][1]
 
 
+@pytest.mark.parametrize(("share", "rollouts"), [(1.0, 1), (0.5, 2)])
+def test_a_rollout_that_closes_no_defects_is_tried_again_only_where_more_is_allowed(monkeypatch, share, rollouts):
+    """In the last iteration the limit of its cost is that of a share of 1."""
+    problem, limits = planner.cases.build("two-link", horizon=20), []
+    engine, us = NumpyEngine(numpy_twin(problem)), np.zeros_like(problem.first_guess)
+    xs = interpolated_states(problem.dynamics.space, problem.x0, problem.cost.x_ref[-1], problem.duration, problem.N)
+    monkeypatch.setattr(engine, "rollout_closing_defects", lambda cost, slope: limits.append(cost) or (0.0, cost))
+    close_defects(problem, engine, False, xs, us, 1, None, options=planner.SolverOptions(closing_share=share))
+    assert len(limits) == rollouts
+
+
 def test_poor_states_are_refused():
     problem = planner.cases.build("two-link", horizon=20)
     with pytest.raises(PlannerError, match=r"states is 'arc', expected one of: line\."):

@@ -42,6 +42,21 @@ def test_least_time_is_that_of_two_bang_bang_legs():
     assert planner.prove(plan, rollouts=0).passed
 
 
+def test_a_search_of_times_that_is_interrupted_returns_its_best_plan():
+    """The second search of the duration is of other times of the via point."""
+    searches = []
+
+    def callback(line):
+        searches.append(line)
+        if sum(line.number == 0 for line in searches) == 2:
+            raise KeyboardInterrupt
+
+    plan = planner.solve_for(there_and_half_back(), "time", durations=(1.0, 8.0), callback=callback)
+    assert plan.status is planner.Status.INTERRUPTED
+    assert share(plan) == round(N * 1.0 / 1.5) / N  # the first one, which the next had not beaten
+    assert plan.t[-1] < 4.0
+
+
 def test_least_effort_is_that_of_the_best_spline():
     """The least 1/2 int u^2 through a point at a time is that of a cubic spline; the best time is found by Brent."""
     from scipy.interpolate import CubicSpline

@@ -33,7 +33,7 @@ from planner.problem.progress import control_at_bound, control_name, sentence_of
 from planner.problem.rediscretize import rounded_duration
 from planner.problem.thrust import missing_thrust
 from planner.proof.diagnostics.min_jerk import MinJerkMotion, machine_of, smooth_motion
-from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, seeks_duration
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, has_searched_duration, no_fix
 from planner.proof.verdict import Proof
 
 MAX_LENGTHENING = 10.0  # upper limit of the new duration, relative
@@ -77,7 +77,7 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
     """
     if problem.limits is None or not _short_of_force(plan, problem, proof):
         return []
-    if seeks_duration(plan) and (plan.converged or plan.status in (Status.WORK_LIMIT, Status.TIME_LIMIT)):
+    if has_searched_duration(plan) and (plan.converged or plan.status in (Status.WORK_LIMIT, Status.TIME_LIMIT)):
         return []
     machine = machine_of(problem)
     if machine is None:
@@ -104,12 +104,12 @@ def more_time(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
 
 def _longest(plan: Plan, problem: Problem) -> float:
     """The duration, s; the longest of those that were searched."""
-    return float(plan.options["durations"][1]) if seeks_duration(plan) else problem.duration
+    return float(plan.options["durations"][1]) if has_searched_duration(plan) else problem.duration
 
 
 def _in_time(plan: Plan, problem: Problem, duration: float, code: str, /, **values: Any) -> SuggestedFix:
     """A longer duration; for a search, as the longest to try."""
-    if seeks_duration(plan):
+    if has_searched_duration(plan):
         return fix(problem, "durations", [float(plan.options["durations"][0]), duration], code, **values)
     return fix(problem, "duration", duration, code, **values)
 

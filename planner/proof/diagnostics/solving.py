@@ -15,10 +15,10 @@ from planner.proof.diagnostics.suggested_fix import (
     ITERATIONS,
     SuggestedFix,
     fix,
+    has_searched_duration,
     no_fix,
     of_file,
     rounded_up,
-    seeks_duration,
 )
 from planner.proof.verdict import Proof
 from planner.solvers.options import EXPECTED_REDUCTION_TOLERANCE
@@ -51,7 +51,7 @@ def more_iterations(plan: Plan, problem: Problem, proof: Proof | None) -> list[S
     """Number of iterations, extrapolated from the trend of the decrease."""
     if plan.status not in (Status.MAX_ITERATIONS, Status.WORK_LIMIT):
         return []
-    if seeks_duration(plan):  # which the budget cut, or its last solve
+    if has_searched_duration(plan):  # which the budget cut, or its last solve
         more = rounded_up(2.0 * plan.options["work"]) if plan.status is Status.WORK_LIMIT else None
         return [] if more is None else [fix(problem, "work", more, "search_cut", tried=len(plan.options["tried"]))]
     lines = [line for line in plan.history if line.step > 0.0]
@@ -82,7 +82,7 @@ def _cheaper_stages(plan: Plan, problem: Problem) -> SuggestedFix:
 def other_guesses(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
     """Several first guesses, for a solve that did not converge from one."""
     stalls = plan.status in (Status.MAX_ITERATIONS, Status.NO_DESCENT)  # what its work cut has none for several
-    if not stalls or seeks_duration(plan) or problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1:
+    if not stalls or has_searched_duration(plan) or problem.parameters.get("starts", 1) != 1 or len(plan.starts) > 1:
         return []
     return [fix(problem, "starts", STARTS, "stalled", cost=plan.cost, gradient=plan.gradient_norm)]
 
@@ -138,6 +138,6 @@ def nothing_known(plan: Plan, problem: Problem, proof: Proof | None) -> Suggeste
         sections = [section for name, section in proof.sections.items() if name not in other]
         failed = [one for section in sections for one in section.failures]
     what = failed[0].name.replace("_", " ") if failed else "the end of the solve"
-    code = "unknown_of_time" if seeks_duration(plan) else "unknown"  # whose problem has no duration of its own
+    code = "unknown_of_time" if has_searched_duration(plan) else "unknown"  # whose problem has no duration of its own
     code = "unknown_of_recording" if plan.status is Status.GIVEN else code
     return no_fix("", code, failed=what, duration=Quantity(problem.duration, "s"))

@@ -82,8 +82,8 @@ def no_fix(key: str, code: str, **values: Any) -> SuggestedFix:
     return SuggestedFix(code, values, key)
 
 
-def seeks_duration(plan: Plan) -> bool:
-    """Whether it is of a search over durations, which solves at many."""
+def has_searched_duration(plan: Plan) -> bool:
+    """Whether a search over durations, which solves at many, made the plan."""
     return "durations" in plan.options
 
 

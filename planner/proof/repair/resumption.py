@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.solving import iterations_needed
-from planner.proof.diagnostics.suggested_fix import seeks_duration
+from planner.proof.diagnostics.suggested_fix import has_searched_duration
 from planner.solvers.slq import solve
 from planner.solvers.work import WorkBudget
 
@@ -34,7 +34,7 @@ def resumed(
     problem: Problem, plan: Plan, budget: WorkBudget, max_iterations: int, **options: Any
 ) -> Resumption | None:  # fmt: skip
     """The plan of the solve that goes on; None where it is not worth it, or comes to nothing better."""
-    cut = plan.status is Status.WORK_LIMIT and problem.periodic is None and not seeks_duration(plan)
+    cut = plan.status is Status.WORK_LIMIT and problem.periodic is None and not has_searched_duration(plan)
     if not cut or _SEARCHES & set(plan.options):
         return None
     if iterations_needed([line for line in plan.history if line.step > 0.0], plan.cost) is None:
