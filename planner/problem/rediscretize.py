@@ -86,7 +86,7 @@ def finer(problem: Problem, keep_substeps: bool = False) -> Problem:
 def retimed(problem: Problem, duration: float) -> Problem:
     """The same task with the same number of stages in another duration (s); first guess of the controls unchanged.
 
-    A duration that was found for time is found no longer.
+    Where the objective has time, solve() seeks the duration again.
 
     Raises:
         PlannerError: Parts without with_step and resampled.
