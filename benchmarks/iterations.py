@@ -1,9 +1,9 @@
 """Iterations with limits and constraints beside those without: `python benchmarks/iterations.py [--robots FOLDER]`.
 
-The target is MOST times as many, or FEW. Torques and speeds of the two-link arm are bounded by shares of the largest
-ones of its free plan, from the case's own first guess, from the straight line of states and from random starts. With
-the site-packages that have example-robot-data, a Panda goes from one end of its ranges to the other within its limits.
-Counts do not depend on the computer.
+The target is MAX_RATIO times as many, or MAX_ITERATIONS in all. Torques and speeds of the two-link arm are bounded by
+shares of the largest ones of its free plan, from the case's own first guess, from the straight line of states and from
+random starts. With the site-packages that have example-robot-data, a Panda goes from one end of its ranges to the other
+within its limits. Counts do not depend on the computer.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ TASKS = Path(__file__).parents[1] / "examples" / "tasks"
 FILES = ("reach_within_limits", "swing_up", "reach_upright_cup", "around_a_post", "through_a_window")
 SHARES = (0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 STARTS = 40
-MOST, FEW = 2.5, 30
+MAX_RATIO, MAX_ITERATIONS = 2.5, 30
 
 
 def limit(free: planner.Plan) -> float:
     """The largest number of iterations that meets the target, beside a free plan."""
-    return max(MOST * free.nit, FEW)
+    return max(MAX_RATIO * free.nit, MAX_ITERATIONS)
 
 
 def line(name: str, free: planner.Plan, held: planner.Plan) -> None:

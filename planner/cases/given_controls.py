@@ -29,6 +29,7 @@ from planner.base.files import printable
 from planner.cases.problem_file.states import state_of
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.protocol import feedback_control, rollout, rollout_states
+from planner.dynamics.rigid_body import MAX_SUBSTEPS
 from planner.model.coordinates import controls_of_mechanism, coordinates_of, coordinates_of_mechanism
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.unsupported import KINDS
@@ -39,7 +40,7 @@ from planner.problem.initial_guess import inverse_dynamics_controls
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.recorded_columns import control_columns, other_columns, position_columns
-from planner.problem.recording import POSITION, TIME, Recording, read_recording
+from planner.problem.recording import POSITION, STEPS_PER_ROW, TIME, Recording, read_recording
 from planner.proof.error_propagation import propagate_errors
 from planner.proof.replays.replaying import Replay
 from planner.solvers import lq
@@ -50,7 +51,8 @@ _CONTROL_WEIGHT = 0.01  # of a control of the largest size, where 1 rad and 1 ra
 _START_TOLERANCE = 0.01  # rad or m, between a given start and the first row of positions
 _PARTS = 1, 2, 4, 8, 16  # steps from one row to the next: of positions stages, of controls, which are held, substeps
 _RESOLVED = 0.5  # of what passes: the predicted error of steps that are short enough
-_HELPS = 0.5  # of the error of steps twice as long: shorter ones that leave more do not help
+_SMALL = 10.0  # of what passes: larger errors are of steps at which RK4 is not stable, and shorter ones may be stable
+_HELPS = 0.5  # of the least error: where that is small, shorter steps that leave more do not help
 _EFFORT = 1e-6  # weight of the given controls: the cost is only shown
 
 
@@ -91,25 +93,26 @@ def plan_of_controls(
         with_goal, goal = goal is not None, _last(table[-1, 1:], joints, mechanism) if goal is None else goal
         rows = len(table) - 1
 
-        def run_of(parts: int) -> _Run:
-            parts = max(1, min(parts, LONGEST_HORIZON // rows))
+        def run_of(parts: int) -> _Run | None:
             return _tracked(RigidBodyDynamics(mechanism, dt / parts), parts * rows, recorded)
 
-        plan = _resolved(run_of, goal, tolerance, moving=not with_goal)
+        plan = _resolved(run_of, max(1, LONGEST_HORIZON // rows), goal, tolerance, moving=not with_goal)
+        if plan is None:
+            raise PlannerError(_jumps(recorded, table[:, 0] - table[0, 0]))
     else:
         if columns.states and start is None:
             x0 = table[0, columns.states]
         us = np.zeros((len(table) - bool(columns.states), mechanism.nu))  # at the end of a plan no control acts
         us[:, [*columns.controls]] = table[: len(us), [*columns.controls.values()]]
 
-        def run_of(parts: int) -> _Run:
+        def run_of(parts: int) -> _Run | None:
             dynamics = RigidBodyDynamics(mechanism, dt, substeps=parts)
             xs, K = rollout_states(dynamics, x0, us), np.zeros((len(us), mechanism.nu, dynamics.ndx))
             return _Run(dynamics, xs, xs, us, K)
 
-        plan = _resolved(run_of, goal, tolerance, moving=False)
-    if plan is None:
-        raise PlannerError(_infinite(path, mechanism, columns))
+        plan = _resolved(run_of, MAX_SUBSTEPS, goal, tolerance, moving=False)
+        if plan is None:
+            raise PlannerError(_infinite(path, mechanism, columns))
     return plan
 
 
@@ -123,29 +126,38 @@ class _Run(NamedTuple):
     K: np.ndarray  # (N, nu, ndx)
 
 
-def _resolved(run_of: Callable[[int], _Run], goal: Any, tolerance: Any, moving: bool) -> Plan | None:
-    """The plan whose steps, as few as can be from one row to the next, a proof resolves.
+def _resolved(
+    run_of: Callable[[int], _Run | None], most: int, goal: Any, tolerance: Any, moving: bool
+) -> Plan | None:  # fmt: skip
+    """The plan whose steps, as few as can be from one row to the next, a proof resolves; else that of the least error.
 
     Rows are as far apart as a recorder had them; the machine may be faster. Steps are halved until the error that is
-    predicted of them is well within what passes, as long as that helps. None where states are infinite.
+    predicted of them is well within what passes. Where RK4 is not stable, errors do not fall from one to the next.
 
     Args:
-        run_of: The motion with so many steps from one row to the next.
+        run_of: The motion with so many steps from one row to the next; None where there is none.
+        most: The largest number of steps from one row to the next.
         goal: As of plan_of_controls().
         tolerance: Likewise.
         moving: Whether it may end in motion.
+
+    Returns:
+        None where no steps lead to finite states.
     """
     found, least = None, np.inf
-    for parts in _PARTS:
-        plan = _planned(run_of(parts), goal, tolerance, moving)
+    for parts in dict.fromkeys(min(parts, most) for parts in _PARTS):
+        run = run_of(parts)
+        plan = None if run is None else _planned(run, goal, tolerance, moving)
         if plan is None:
             continue
         assert plan.problem is not None
+        plan.options[STEPS_PER_ROW] = parts
         error = max(float(one.max()) for one in propagate_errors(plan, plan.problem, {}).predicted.values())
-        if found is not None and not error < _HELPS * least:
-            break
-        found, least = plan, error if np.isfinite(error) else np.inf
-        if least <= _RESOLVED:
+        error = error if np.isfinite(error) else np.inf
+        enough = error <= _RESOLVED or (least <= _SMALL and error >= _HELPS * least)
+        if error <= least:
+            found, least = plan, error
+        if enough:
             break
     return found
 
@@ -168,8 +180,9 @@ def _planned(run: _Run, goal: Any, tolerance: Any, moving: bool) -> Plan | None:
         Q[N, 2 * mechanism.nv :] = 0.0
     cost = TrackingCost(Q, R, x_ref, 0.0, dynamics.space)
     problem = Problem(dynamics, cost, xs[0], us=us, tolerance=tolerance)
-    A, B = dynamics.linearize(xs, us)
-    norm = float(np.linalg.norm(lq.gradient(A, B, cost.quadratize(xs, us))))
+    with np.errstate(all="ignore"):  # of steps at which RK4 is not stable
+        A, B = dynamics.linearize(xs, us)
+        norm = float(np.linalg.norm(lq.gradient(A, B, cost.quadratize(xs, us))))
     return Plan(
         t=dynamics.dt * np.arange(N + 1), xs=xs, us=us, K=K, cost=cost.value(xs, us), gradient_norm=norm,
         status=Status.GIVEN, history=(), problem=problem, twin=problem.twin,
@@ -305,8 +318,8 @@ def _motion_of(mechanism: Mechanism, table: np.ndarray, joints: list[int], x0: n
     return _Motion(make_interp_spline(table[:, 0] - table[0, 0], q, k=5), x0)
 
 
-def _tracked(dynamics: RigidBodyDynamics, N: int, motion: _Motion) -> _Run:
-    """The motion followed in N stages: controls by inverse dynamics, gains of an LQR about it."""
+def _tracked(dynamics: RigidBodyDynamics, N: int, motion: _Motion) -> _Run | None:
+    """The motion followed in N stages: controls by inverse dynamics, gains of an LQR about it; None if it has none."""
     mechanism, dt, spline = dynamics.mechanism, dynamics.dt, motion.positions
     t = dt * np.arange(N + 1)
     middle = t[:-1] + 0.5 * dt  # the best time for a control that is constant over a stage
@@ -317,13 +330,18 @@ def _tracked(dynamics: RigidBodyDynamics, N: int, motion: _Motion) -> _Run:
     Q, R = dt * np.eye(dynamics.ndx), dt * _CONTROL_WEIGHT * np.diag(1.0 / size**2)
     K = tracking_gains(A, B, np.tile(Q, (N + 1, 1, 1)), np.tile(R, (N, 1, 1)))
     if K is None:  # R is positive definite, Q semidefinite: the numbers are too far apart
-        fastest = float(np.abs(spline(t, 2)).max())
-        raise PlannerError(
-            f"the positions jump, by accelerations up to {fastest:.3g} in rad/s^2 or m/s^2, and no gains follow them, "
-            "expected a motion of the joints: columns of controls bear the names of actuators."
-        )
+        return None
     start = reference[0] if motion.start is None else motion.start
     return _Run(dynamics, reference, *rollout(dynamics, start, us, feedback_control(dynamics, reference, us, K)), K)
+
+
+def _jumps(motion: _Motion, t: np.ndarray) -> str:
+    """That nothing follows a motion, whose rows are at the times t, s."""
+    fastest = float(np.abs(motion.positions(t, 2)).max())
+    return (
+        f"the positions jump, by accelerations up to {fastest:.3g} in rad/s^2 or m/s^2, and no gains follow them, "
+        "expected a motion of the joints: columns of controls bear the names of actuators."
+    )
 
 
 def recording_errors(replay: Replay) -> list[tuple[str, ...]]:

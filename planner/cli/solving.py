@@ -106,8 +106,8 @@ def solved(
     """The plan and the time of its solve, s; `purpose` of a solve after the first is printed with its table."""
     problem = asked.problem
     iteration = problem.N * work_of_stage(problem)
-    if iteration > LONG_ITERATION:  # or nothing is seen for that long, and nobody knows why
-        console.write_progress(f"an iteration takes about {iteration:.1g} s")
+    if iteration > LONG_ITERATION and not purpose:  # or nothing is seen for that long, and nobody knows why
+        console.write_progress(f"an iteration takes about {float(f'{iteration:.2g}'):g} s")
     # compiles outside of the measured time
     solve(with_found_duration(problem), hessian=arguments.hessian, max_iterations=1)
     several = f", {asked.starts} starts" if asked.starts > 1 else ""

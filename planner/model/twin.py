@@ -224,5 +224,8 @@ def read_again(origin: dict[str, Any], file: str | Path | None = None) -> tuple[
     model = origin["path"] if file is None else file
     of_urdf = {key: origin[key] for key in URDF_KEYS if key in origin}
     file_now = open_model_file(*as_mjcf(model, **of_urdf)) if is_urdf(model) else open_model_file(model)
-    file_now = edits_of(**{key: origin.get(key) for key in ("attach", "obstacles", "exclude")})(file_now)
+    added = {key: origin.get(key) for key in ("attach", "obstacles", "exclude")}
+    if added["obstacles"]:  # a position at the origin needs not be written, though users have to say it
+        added["obstacles"] = [{"position": [0.0, 0.0, 0.0]} | one for one in added["obstacles"]]
+    file_now = edits_of(**added)(file_now)
     return ElementTree.tostring(file_now.root, encoding="unicode"), file_now.files

@@ -105,7 +105,7 @@ def describe(file: ModelFile, keys: dict[str, Any] | None = None) -> Description
     return Description(
         name=file.root.get("model", ""), joints=joints, bodies=body_records(model), actuators=actuators,
         contacts=_contacts(file, mechanism), gravity=[float(g) for g in gravity_of(model)], mass=moving_mass(model),
-        free_bases=free_bases(model), moving_base=has_moving_base(model), degrees_of_freedom=int(model.nv),
+        free_bases=free_bases(model), moving_base=has_moving_base(file.survey), degrees_of_freedom=int(model.nv),
         planned=_planned(mechanism, joints),
         left_out=_left_out(file, mechanism), loaded=loaded, poses=poses,
         troubles=lint_model(model, mechanism, joints, keyframes), frames=_frames(model, mechanism, poses),

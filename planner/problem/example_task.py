@@ -34,6 +34,7 @@ _SHORTEST, _LONGEST = 1.0, 20.0  # s, lower and upper limit of the duration
 # the substeps that a damped arm takes, or of 100 with a hundred degrees of freedom, is a few seconds.
 _USUAL, _WITH_MANY = 4.0, 1.2e4
 _LEAST_PART = 0.2  # of a joint's way: one that would be shortened to less stays where it is
+_ROUNDING = 0.01  # of 0.1 s, not rounded up: ways that were shortened to a duration get goals of four digits
 _TIPPING = 2.0  # s, lower limit of the duration with unactuated joints
 
 
@@ -274,7 +275,7 @@ def _duration(mechanism: Mechanism, start: np.ndarray, goal: dict[int, float]) -
         duration = max(duration, _PEAK_SPEED * displacement / (_SHARE * mechanism.velocity_limit[i]))
         if peak[i] > 0.0:
             duration = max(duration, math.sqrt(_PEAK_FORCE * displacement * inertia[i] / (_SHARE * peak[i])))
-    return math.ceil(10.0 * min(duration, _LONGEST) - 1e-6) / 10.0
+    return math.ceil(10.0 * min(duration, _LONGEST) - _ROUNDING) / 10.0
 
 
 def _shortest(mechanism: Mechanism) -> float:
@@ -294,7 +295,7 @@ def _in_time(mechanism: Mechanism, start: np.ndarray, ways: dict[int, float]) ->
     )
     shorter = {j: min(way, float(reached[mechanism.joint_links[j].start])) for j, way in ways.items()}
     quick = {j: way for j, way in shorter.items() if way >= _LEAST_PART * ways[j]}
-    return quick or ways
+    return quick or shorter
 
 
 def strongest(mechanism: Mechanism) -> np.ndarray:

@@ -21,6 +21,7 @@ from planner.base.files import check_confined, printable, read_input, read_text
 
 MAX_ROWS = 100_000
 TIME = "time"
+STEPS_PER_ROW = "steps_per_row"  # among the options of a plan of a recording
 POSITION = "position of "  # before a joint's name where an actuator is called the same
 _UNITS = {
     **{name: (name, 1.0) for name in ("s", "rad", "m", "rad/s", "m/s", "N", "N m")},

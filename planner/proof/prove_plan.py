@@ -299,15 +299,18 @@ def _reason(passed: bool, judged: tuple[Section, ...], steps: list[Section], run
             return f"plan: {broken.failures[-1].note}.{more}"
         if broken.title == "optimal":
             why = run.plan.message if broken.failures[0].name == "not_converged" else f"{broken.failures[0]}."
-            return f"not optimal: {why} To judge feasibility alone: prove(..., optimal=False).{more}"
+            alone = "To judge feasibility alone: planner prove --feasible, or prove(..., optimal=False)."
+            return f"not optimal: {why} {alone}{more}"
         if broken.failures[0].name == NOT_FINITE:  # the other numbers are of no plan
             return f"plan: {broken.failures[0].note}"
         found = [one.note if one.bound == 0.0 and broken.title == FILE else str(one) for one in broken.failures]
         failures = "; ".join(sentence.removesuffix(".") for sentence in found)
         in_file = () if broken.title == FILE else next(one for one in judged if one.title == FILE).failures
         more += "".join(f" In your file: {one.note}" for one in in_file if one.bound == 0.0)
-        if broken.title.startswith("refined") and any(one.title == FILE and one.passed for one in judged):
-            more += " Your file passes with it; the plan's own model moves otherwise in shorter steps."
+        if broken.title.startswith("refined") and any(
+            one.title == FILE and one.passed and not one.not_applicable for one in judged
+        ):
+            more += " Your file passes with this plan; the plan's own model moves otherwise in shorter steps."
         if run.reached and broken.title != "plan":  # reaching a range causes the other errors
             return f"{broken.title}:{more} {failures[0].upper()}{failures[1:]}."
         return f"{broken.title}: {failures}.{more}"

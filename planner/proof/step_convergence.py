@@ -50,7 +50,7 @@ class StepConvergence:
     costs: np.ndarray  # (L,) J reached
     changes: np.ndarray  # (L-1,) Euclidean changes between successive end states, from which the order is observed
     shares: np.ndarray  # (L-1,) the same, the largest component relative to its path error bound
-    nominal: float  # Order of the integrator
+    nominal: float  # Order of the method of these replays
     observed: float | None  # Of the end state, over the last changes above rounding; None if there are none
     judged: str  # Why the order is not judged; "" if it is
     extrapolated_cost: float  # J at a step of zero
@@ -103,12 +103,12 @@ def step_convergence(problem: Problem, run: Replay) -> StepConvergence:
     least, count = (max(run.substeps // 2, 1), 3) if refined_only else (own, count)
     substeps = [least << k for k in range(count)]
     kind = "rk4" if refined_only or integrator not in KNOWN_INTEGRATORS else integrator
-    nominal = float(KNOWN_INTEGRATORS[kind].order or 4)
     why = _unjudged(run, problem)
     why = why or ("damping is faster than these steps, which hides the order" if implicit else "")
     why = why or ("" if kind == integrator else "the plan's own stage is none of MuJoCo's")
     if why and not implicit:  # MuJoCo's own steps tend to the same end, of lower order on rotations, 20 times faster
         kind = "rk4"
+    nominal = float(KNOWN_INTEGRATORS[kind].order or 4)
     with np.errstate(all="ignore"):
         scale = cost.scale(plan, problem)
         enough = UNCERTAIN * COST_BOUND / 100.0 * scale if why else 0.0  # of the cost's uncertainty

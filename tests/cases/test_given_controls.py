@@ -100,31 +100,58 @@ FAST = """<mujoco><worldbody><body><joint name="wrist" axis="0 1 0" damping="0.2
   <actuator><motor name="motor" joint="wrist"/></actuator></mujoco>"""
 
 
+def of_wrist(folder, what, damping, hertz, seconds=1.0):
+    """A plan of rows at a rate, and how many steps it takes from one to the next."""
+    (folder / "wrist.xml").write_text(FAST.replace("0.2", f"{damping:g}"))
+    s = np.linspace(0.0, 1.0, round(hertz * seconds) + 1)
+    rows = s**3 * (10 - 15 * s + 6 * s**2) if what != "motor" else 0.2 * np.sin(9.0 * s)
+    file = write(folder / "wrist.csv", [what], rows[:, None], 1.0 / hertz)
+    plan = plan_of_controls(file, folder / "wrist.xml")
+    return plan, rows, plan.options["steps_per_row"]
+
+
 @pytest.mark.parametrize("what", ["position of wrist", "motor"])
-def test_a_machine_may_be_faster_than_its_recording(what, tmp_path, monkeypatch):
-    """A wrist of 7.5e-4 kg m^2 with 0.2 N m s forgets its velocity in 4 ms, and rows are 10 ms apart."""
-    (tmp_path / "wrist.xml").write_text(FAST)
-    t = np.linspace(0.0, 1.0, 101)
-    rows = t**3 * (10 - 15 * t + 6 * t**2) if what != "motor" else 0.2 * np.sin(9.0 * t)
-    file = write(tmp_path / "wrist.csv", [what], rows[:, None], 0.01)
+@pytest.mark.parametrize(
+    ("damping", "hertz", "seconds", "steps"), [(0.2, 100, 1.0, 2), (0.2, 20, 1.0, 8), (0.5, 20, 5.0, 16)]
+)
+def test_a_machine_may_be_faster_than_its_recording(what, damping, hertz, seconds, steps, tmp_path):
+    """A wrist of 7.5e-4 kg m^2 with 0.2 N m s forgets its velocity in 4 ms; RK4 is not stable from 10 ms on.
 
-    def proved():
-        plan = plan_of_controls(file, tmp_path / "wrist.xml")
-        proof = planner.prove(plan, rollouts=0, optimal=False)
-        return plan, proof, suggested_fixes(plan, proof)
-
-    plan, proof, _ = proved()
+    At 20 Hz one, two and four steps from row to row are 50 to 12 ms long, and their errors do not fall. With 0.5 N m s
+    one step of 50 ms multiplies velocities by 5e4: over 100 of them no gains and no states are finite.
+    """
+    plan, rows, taken = of_wrist(tmp_path, what, damping, hertz, seconds)
+    assert taken == steps
+    proof = planner.prove(plan, rollouts=0, optimal=False)
     assert proof.passed, proof.reason
     if what != "motor":
-        np.testing.assert_allclose(plan.xs[:: len(plan.us) // 100, 0], rows, atol=2e-3)
-    monkeypatch.setattr(
-        given_controls, "_PARTS", (1,)
-    )  # what a recording is told that even the shortest do not resolve
-    _, proof, (only,) = proved()
-    assert not proof.passed
+        np.testing.assert_allclose(plan.xs[::steps, 0], rows, atol=2e-3)
+
+
+def test_no_number_of_steps_is_tried_twice(monkeypatch, tmp_path):
+    """Where stages are as many as can be, all more of them are as many."""
+    tried = []
+    tracked = given_controls._tracked
+    monkeypatch.setattr(given_controls, "LONGEST_HORIZON", 50)  # of 20 rows, twice
+    monkeypatch.setattr(given_controls, "_tracked", lambda *given: tried.append(given[1]) or tracked(*given))
+    of_wrist(tmp_path, "position of wrist", 0.2, 20)
+    assert tried == [20, 40]
+
+
+@pytest.mark.parametrize(
+    ("what", "hertz", "steps"), [("position of wrist", 20, 4), ("motor", 100, 1), ("motor", 25, 4)]
+)
+def test_a_recording_is_told_a_rate_at_which_as_many_steps_pass(what, hertz, steps, tmp_path, monkeypatch):
+    monkeypatch.setattr(given_controls, "_PARTS", (steps,))
+    plan, *_ = of_wrist(tmp_path, what, 0.2, hertz)
+    proof = planner.prove(plan, rollouts=0, optimal=False)
+    (only,) = suggested_fixes(plan, proof)
     assert (only.code, only.value) == ("rows_too_sparse", None)
-    assert only.values["rate"].value >= 200.0  # Hz, at least twice that of the rows
-    assert str(only).startswith(f"Record, or export by `--rate`, at {only.values['rate'].value:.3g} Hz or more")
+    assert only.values["dt"].value == pytest.approx(1.0 / (hertz * steps))
+    rate = only.values["rate"].value
+    assert hertz < rate <= 5.0 * hertz
+    assert str(only).startswith(f"Record, or export by `--rate`, at {rate:.0f} Hz or more: at steps of ")
+    assert planner.prove(of_wrist(tmp_path, what, 0.2, rate)[0], rollouts=0, optimal=False).passed
 
 
 def test_a_recording_is_told_no_weights(solved, model, tmp_path):

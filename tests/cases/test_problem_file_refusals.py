@@ -287,11 +287,15 @@ def test_a_motion_of_least_jerk_meets_its_goal(tmp_path):
     assert abs(plan.xs[-1, 1]) < 0.02
 
 
-@pytest.mark.parametrize(("x", "told"), [(0.0, False), (0.05, True)], ids=["apart", "deep in the ball"])
-def test_a_start_deep_in_another_body_is_told(tmp_path, x, told):
+@pytest.mark.parametrize(
+    ("x", "gravity", "told"),
+    [(0.0, 9.81, False), (0.05, 9.81, True), (0.05, 0.0, False)],
+    ids=["apart", "deep in the ball", "nothing has weight"],
+)
+def test_a_start_deep_in_another_body_is_told(tmp_path, x, gravity, told):
     """The hand of 3 cm ends at x + 0.03 m, and the ball begins at 0.05 m: 3 cm deep, where 2 mm carry the weight."""
     (tmp_path / "push.xml").write_text(
-        """<mujoco><worldbody>
+        f"""<mujoco><option gravity="0 0 {-gravity}"/><worldbody>
         <body name="hand"><joint name="hand" type="slide" axis="1 0 0"/><geom name="hand" size=".03" mass="1"/></body>
         <body name="ball" pos=".1 0 0"><joint name="ball" type="slide" axis="1 0 0"/>
         <geom name="ball" size=".05" mass="1"/></body></worldbody>
@@ -299,7 +303,7 @@ def test_a_start_deep_in_another_body_is_told(tmp_path, x, told):
     )
     (tmp_path / "push.toml").write_text(
         f'model = "push.xml"\nstart = {{ hand = {x} }}\ngoal = {{ ball = 0.2 }}\nduration = 1.0\n'
-        "contacts = { penetration = 0.002, friction = 0.5 }\n"
+        "contacts = { stiffness = 1e4, damping = 100, ramp = 1e-3, slip_damping = 100, friction = 0.5 }\n"
     )
     notes = load(tmp_path / "push.toml").notes
     assert any("0.03 m deep in each other" in note for note in notes) == told

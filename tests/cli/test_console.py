@@ -7,7 +7,9 @@ import pytest
 from carts import cart
 
 import planner
+from planner import cases
 from planner.base.measured import Measurement, Section
+from planner.cli import solving
 from planner.cli.console import Console
 from planner.cli.results import show_proof
 from planner.cli.solving import show_plan
@@ -64,3 +66,19 @@ def test_a_search_that_ends_at_the_shortest_duration_says_so(shortest, said, cap
     plan = replace(planner.solve(problem), options={"durations": [shortest, 3.0]})
     show_plan(plan, None, Console())
     assert ("write a shorter one" in capsys.readouterr().out) is said
+
+
+def test_what_an_iteration_takes_is_said_with_the_first_solve_only(monkeypatch):
+    said = []
+    problem = cases.two_link(horizon=10)
+    monkeypatch.setattr(solving, "work_of_stage", lambda problem: 154.4 / problem.N)
+    monkeypatch.setattr(solving, "solve", lambda *_, **__: None)
+    console = SimpleNamespace(write_progress=said.append, iteration=None, row=None)
+    asked = SimpleNamespace(
+        problem=problem, starts=1, seed=0, notes=(), durations=None, phase_times={}, solved=lambda *_, **__: None
+    )
+    names = ("hessian", "update", "line_search", "max_iterations")
+    arguments = SimpleNamespace(case="two-link", rank="cost", **dict.fromkeys(names))
+    solving.solved(asked, arguments, console)
+    solving.solved(asked, arguments, console, purpose=", with a suggested fix")
+    assert [line for line in said if "takes" in line] == ["an iteration takes about 150 s"]

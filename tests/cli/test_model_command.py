@@ -130,6 +130,15 @@ def test_a_urdf_is_said_to_be_fixed_and_how_it_walks(tmp_path):
     assert 'a machine that walks wants base = "free" and floor = true' in " ".join(done.stdout.split())
 
 
+def test_an_arm_beside_what_floats_is_said_to_be_fixed(tmp_path):
+    parts = link("world"), *(link(name, inertial()) for name in ("ball", "upper"))
+    joints = joint("loose", "world", "ball", kind="floating"), joint("hip", "world", "upper", axis="0 0 1")
+    (tmp_path / "arm.urdf").write_text(robot(*parts, *joints))
+    done = run("model", "arm.urdf", "--no-picture", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "fixed to the world" in done.stdout
+
+
 @pytest.mark.parametrize(("kind", "fixed"), [("floating", False), ("planar", False), ("revolute", True)])
 def test_a_urdf_whose_top_joint_is_free_is_not_said_to_be_fixed(kind, fixed, tmp_path):
     parts = link("world"), link("base", inertial()), link("upper", inertial())

@@ -145,6 +145,15 @@ def test_a_plan_goes_around_what_stands_beside_a_urdf_and_so_does_the_stored_pla
     assert files == plan.twin.assets
 
 
+def test_a_plan_that_was_stored_without_the_position_of_a_box_is_compared_with_its_file(tmp_path):
+    """Until a position had to be written, a box without one stood at the origin."""
+    origin = load(problem_file(tmp_path)).problem.twin.origin
+    at_origin = dict(POST, position=[0.0, 0.0, 0.0])
+    stored = {key: value for key, value in POST.items() if key != "position"}
+    texts = [read_again(origin | {"obstacles": [one]})[0] for one in (stored, at_origin)]
+    assert texts[0] == texts[1]
+
+
 def test_without_avoid_the_plan_fails_at_the_obstacle_and_the_proof_says_what_to_write(tmp_path):
     plan = planner.solve(load(problem_file(tmp_path, "")).problem)
     assert distance_to_post(plan, plan.xs) < 0.0

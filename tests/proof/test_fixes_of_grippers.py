@@ -108,16 +108,17 @@ def test_how_much_stiffer_an_equality_is_to_be_depends_on_what_it_lets_go(tmp_pa
         found = [Measurement(name, *values) for name, values in failed.items()]
         found += [Measurement(EQUALITY_RATE, rate, "rad/s", None), Measurement(TIMESTEP, step, "s", None)]
         judged = replace(proof, sections=proof.sections | {"your_file": Section("your file", tuple(found))})
-        fixes = [one for one in suggested_fixes(plan, judged) if one.code == "equality_gives"]
-        return [one.values["time"] for one in fixes]
+        fixes = [one for one in suggested_fixes(plan, judged) if one.code.startswith("equality_gives")]
+        assert all((one.code == "equality_gives_too_much") == ("move more slowly, or" in str(one)) for one in fixes)
+        return [(one.values["time"], one.code == "equality_gives") for one in fixes]
 
     velocity, angle = (
         {"replayed_angular_velocity_miss": (0.4, "rad/s", 0.1)},
         {"largest_angle_error": (0.04, "rad", 0.01)},
     )
-    assert times(50.0, angle) == [pytest.approx(0.02 / 8.0**0.5)]
-    assert times(50.0, angle | velocity) == [pytest.approx(0.02 / 8.0)]
+    assert times(50.0, angle) == [(pytest.approx(0.02 / 8.0**0.5), True)]
+    assert times(50.0, angle | velocity) == [(pytest.approx(0.02 / 8.0), True)]
     path = {"largest_angular_velocity_error": (0.4, "rad/s", 50.0 * 0.01 * 0.1)}  # a bound that rises with the rate
-    assert times(50.0, path) == [pytest.approx(0.02 / 16.0**0.5)]
-    assert times(50.0, velocity, step=2e-3) == [pytest.approx(4e-3)]  # MuJoCo takes none below two steps
+    assert times(50.0, path) == [(pytest.approx(0.02 / 16.0**0.5), True)]
+    assert times(50.0, velocity, step=2e-3) == [(pytest.approx(4e-3), False)]  # MuJoCo takes none below two steps
     assert times(1e8, velocity) == []  # as a URDF's mimic is written: no spring, something else is the cause

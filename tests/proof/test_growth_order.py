@@ -119,6 +119,20 @@ def test_semi_implicit_euler_is_of_first_order():
     assert proof.convergence.observed == pytest.approx(1.0, abs=0.3)
 
 
+def test_an_order_that_is_not_judged_is_that_of_the_replays():
+    """Friction loss shows no order, so that MuJoCo's RK4 is halved in place of the plan's Euler."""
+    text = (
+        '<mujoco><worldbody><body><joint name="a" axis="0 1 0" frictionloss="0.1" damping="0.1"/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1"/></body></worldbody>'
+        '<actuator><motor joint="a"/></actuator></mujoco>'
+    )
+    dynamics = planner.RigidBodyDynamics(planner.Mechanism.from_mjcf(text), 0.005, "semi-implicit-euler")
+    cost = planner.TrackingCost.joints(dynamics, [0.2, 0.0], 100, effort=0.01, final_position=100.0, final_velocity=1.0)
+    convergence = proof_of(Problem(dynamics, cost, [0.0, 0.0])).convergence
+    assert convergence.judged.startswith("friction loss")
+    assert convergence.nominal == 4.0
+
+
 def test_a_first_order_method_in_place_of_the_fourth_is_seen(monkeypatch):
     """MuJoCo's Euler where the plan says RK4: what `order_shortfall` is for."""
     from planner.proof import step_convergence as module

@@ -242,9 +242,14 @@ def test_stops_that_a_plan_keeps_to_its_tolerance_are_not_of_the_same_step():
     assert proof_of(plan).same_step.passed
 
 
-@pytest.mark.parametrize("file_passes", [True, False])
-def test_a_plan_that_fails_in_shorter_steps_alone_says_that_its_file_passes(file_passes):
+@pytest.mark.parametrize("case", ["passes", "fails", "not applicable"])
+def test_a_plan_that_fails_in_shorter_steps_alone_says_that_its_file_passes(case):
     off = Measurement("path_angle_error", 2.0, "rad", 1.0, "")
-    judged = Section("refined, open loop", (off,)), Section("your file", () if file_passes else (off,))
+    judged = (
+        Section("refined, open loop", (off,)),
+        Section(
+            "your file", (off,) if case == "fails" else (), "it has no actuators" if case == "not applicable" else ""
+        ),
+    )
     run = SimpleNamespace(warnings=(), reached=(), plan=None)
-    assert ("Your file passes" in _reason(False, judged, [], run)) is file_passes
+    assert ("Your file passes with this plan" in _reason(False, judged, [], run)) is (case == "passes")

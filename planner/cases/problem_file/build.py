@@ -337,16 +337,16 @@ def _built(
         passed = ", ".join(f"{way.task.goals[k].time:.3g}" for k in way.waypoints)
         reasons["goal"] = f"Via points without times are passed at {passed} s, in proportion to the way of the joints."
     along = guess_of(way, dynamics, x0) if way is not None and us is None else None
-    steps, cyclic, paths = steps_of(table, mechanism), None, None
+    cyclic, paths = None, None
     if cycle is not None:
         cyclic = motion_in(table, cycle, dynamics, x0, N, limits)
         along, reasons["gait"] = ReferenceTrajectory(None, cyclic.states, direct=True, walks=True), cyclic.said
         goal = cyclic.image.apply(dynamics.space, x0)
         paths = 0.5 * path_lengths(dynamics, cyclic.repeated(dynamics.space, 2).states)  # the same on either side
-    elif way is None and steps is not None:
+    elif way is None and gait is not None:
         ranges = (limits or Limits(position="off")).position_ranges(dynamics)
         straight = straight_reference(dynamics, x0, goal, N)
-        rows, reasons["gait"] = steps.motion(mechanism, straight, dynamics.dt, ranges)
+        rows, reasons["gait"] = gait.motion(mechanism, straight, dynamics.dt, ranges)
         along, paths = ReferenceTrajectory(None, rows, direct=True, walks=True), path_lengths(dynamics, rows)
     elif way is not None and way.gait:
         reasons["gait"] = way.gait

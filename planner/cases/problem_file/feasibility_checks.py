@@ -102,14 +102,17 @@ def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
 def deep_at_start(problem: Problem) -> tuple[str, ...]:
     """A sentence about the two bodies that are deepest in each other at the start, if they are by DEEP rest depths.
 
-    A rest depth is that of the machine's whole weight. The contact throws them apart: the plan begins with a blow.
+    A rest depth is that of the machine's whole weight; without gravity nothing rests. The contact throws them apart:
+    the plan begins with a blow.
     """
     mechanism = capabilities_of(problem.dynamics).mechanism
     if mechanism is None or not mechanism.body_contacts:
         return ()
+    load = float(np.linalg.norm(mechanism.gravity)) * float(mechanism.mass.sum())
+    if load == 0.0:
+        return ()
     q = problem.x0[: mechanism.nq]
     depths = body_contact_forces(mechanism, q, np.zeros(mechanism.nv)).depths
-    load = float(np.linalg.norm(mechanism.gravity)) * float(mechanism.mass.sum())
     shares = [
         depth / max(pair.law.rest_depth(load), np.finfo(float).tiny)
         for pair, depth in zip(mechanism.body_contacts, depths, strict=True)

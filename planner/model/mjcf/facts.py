@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.gl import load_mujoco
-from planner.model.mjcf.contact_mode import machine_roots
+from planner.model.mjcf.contact_mode import actuated_dofs, machine_roots
 from planner.model.mjcf.equalities import acting, joined, joins
 from planner.model.mjcf.joint_forces import actuator_disabled
 from planner.model.mjcf.model_index import ModelIndex, compile_model, disabled, kind_word, named, names_of
@@ -162,12 +162,19 @@ def free_bases(model: Any) -> list[str]:
     return [named(model, "body", body) for body in found if int(model.body_rootid[body]) in free]
 
 
-def has_moving_base(model: Any) -> bool:
-    """Whether a body in the world moves there in space or in a plane: on a free joint, or on slides and turns."""
-    kinds = load_mujoco().mjtJoint
-    in_world = (model.body_weldid[model.body_parentid] == 0) & (model.body_dofnum >= 3)
-    carried = in_world[model.jnt_bodyid]
-    return bool(np.any(carried & np.isin(model.jnt_type, (kinds.mjJNT_FREE, kinds.mjJNT_SLIDE))))
+def has_moving_base(survey: ModelIndex) -> bool:
+    """Whether all that is driven moves in space or in a plane: on a body with a free joint, or slides and turns.
+
+    Where nothing is driven, whether all that moves does. Objects beside a machine do not count.
+    """
+    model, kinds, driven = survey.model, load_mujoco().mjtJoint, actuated_dofs(survey)
+    first = np.arange(model.nbody)  # of each body, the one in the world that moves and carries it
+    for body, parent in enumerate(model.body_parentid):
+        if model.body_weldid[parent] != 0:
+            first[body] = first[parent]
+    glides = model.jnt_bodyid[np.isin(model.jnt_type, (kinds.mjJNT_FREE, kinds.mjJNT_SLIDE))]
+    moving = (model.body_dofnum >= 3) & np.isin(np.arange(model.nbody), glides)
+    return bool(np.all(moving[first[model.dof_bodyid[driven if driven.any() else slice(None)]]]))
 
 
 def moving_mass(model: Any) -> float:

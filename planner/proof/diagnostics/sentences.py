@@ -73,6 +73,9 @@ SENTENCES = {
     "their stops, which only MuJoCo has: write wider ranges in the file, or another equality.",
     "equality_gives": "The equalities of your file give: they are springs of {rate:.3g} rad/s there, and exact in the "
     'plan. Write solref="{time:.2g} 1" at them, or move more slowly.',
+    "equality_gives_too_much": "The equalities of your file give: they are springs of {rate:.3g} rad/s there, and "
+    'exact in the plan. At a step of {step:.3g} MuJoCo takes none stiffer than solref="{time:.2g} 1", which still '
+    "give more than passes: move more slowly, or write a shorter timestep in the file.",
     "excursion": "{joint} swings {excess:.3g} beyond both start and goal; only effort costs something on the way",
     # Goals and weights
     "goal_missed": "the plan ends {miss} from the goal of {goal}, and {tolerance} pass",

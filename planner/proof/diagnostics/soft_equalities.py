@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from planner.base.measured import Measurement
+from planner.base.measured import Measurement, Quantity
 from planner.model.capabilities import capabilities_of, constrained_dofs
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
@@ -25,6 +25,7 @@ def soft_equalities(plan: Plan, problem: Problem, proof: Proof | None) -> list[S
     that frequency, so its velocity falls as the inverse; where its bound rises with the frequency, the share falls as
     the inverse square again. Where a contact, a stop or a clamp of the file is unknown to the plan, that is the cause.
     So is something else where the springs are as fast as the simulator's step lets them be: those of a URDF's mimic.
+    Where that step forbids springs as fast as needed, a slower motion is left.
     """
     mechanism = capabilities_of(problem.dynamics).mechanism
     if proof is None or mechanism is None or not constrained_dofs(mechanism).any():
@@ -38,7 +39,10 @@ def soft_equalities(plan: Plan, problem: Problem, proof: Proof | None) -> list[S
     times = max(_times_as_fast(plan, one, rate) for one in failures)
     if not 0.0 < rate * shortest < 1.0 or not math.isfinite(times):
         return []
-    return [no_fix("model", "equality_gives", rate=rate, time=max(1.0 / (rate * times), shortest))]
+    time = 1.0 / (rate * times)
+    if time >= shortest:
+        return [no_fix("model", "equality_gives", rate=rate, time=time)]
+    return [no_fix("model", "equality_gives_too_much", rate=rate, time=shortest, step=Quantity(found[TIMESTEP], "s"))]
 
 
 def _times_as_fast(plan: Plan, failed: Measurement, rate: float) -> float:

@@ -11,6 +11,7 @@ from planner.base.measured import Quantity
 from planner.dynamics.protocol import integrator_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
+from planner.problem.recording import STEPS_PER_ROW
 from planner.proof.contact_errors import contact_error
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix
 from planner.proof.error_propagation import FACTOR
@@ -50,12 +51,17 @@ def shorter_stage(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
 
 
 def sparse_rows(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """The rate of a recording at which the stages between its rows would be short enough."""
+    """The rate of a recording at which as many steps from one row to the next would be short enough."""
+    dt, parts = problem.dynamics.dt, plan.options.get(STEPS_PER_ROW, 1)  # a loop and older plans say none
+    step = dt / getattr(problem.dynamics, "substeps", 1)
     return [
-        no_fix("recording", "rows_too_sparse", rate=Quantity(1.0 / one.value, "Hz"), **one.values)
+        no_fix(
+            "recording", "rows_too_sparse", rate=Quantity(dt / (one.value * step * parts), "Hz"),
+            **{**one.values, "dt": Quantity(step, "s")},
+        )
         for one in shorter_stage(plan, problem, proof)
         if one.code == "stage_too_long"
-    ]
+    ]  # fmt: skip
 
 
 def contacts_differ(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
