@@ -13,8 +13,8 @@ Steps resolve a motion by the local errors of its stages, carried along its clos
 Gains of multipliers and penalties may be so large that they amplify instead: where e(n+1) = A(n) e(n) + d(n) stays
 smaller, the controls alone resolve the motion, and its error counts.
 
-A plan with an error above UNRESOLVED (of a method without substeps COARSE) of a coordinate's range of motion is a motion
-of its integrator, not of its machine: its cost is no number of the machine either.
+A plan with an error above UNRESOLVED (of a method without substeps COARSE) of a coordinate's range of motion moves as
+its integrator does, not as its machine: its cost is no number of the machine either.
 """
 
 from __future__ import annotations

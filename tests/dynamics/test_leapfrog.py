@@ -25,11 +25,14 @@ from planner.model.couplings import Coupling
 from planner.model.passive_forces import damped_later, implicit_damping
 from planner.model.twin import Twin
 from planner.problem.rediscretize import COARSE, UNRESOLVED, finer, is_unresolved, stage_too_long, step_error
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import replay_in
 from planner.proof.same_step import stage_function
+from planner.proof.step_convergence import ORDER_BOUND, step_convergence
 from planner.solvers.engine import acquire_engine
 
 LAW = ContactLaw(2e3, 80.0, friction=0.7, lead=0.02, cone="pyramidal", ramp=4e-3, force_ramp=0.0)
-TWO_LINK = """<mujoco><worldbody><body>
+TWO_LINK = """<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody><body>
   <joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".03"/>
   <body pos=".5 0 0"><joint name="b" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".03"/></body></body>
   </worldbody><actuator><motor joint="a"/></actuator></mujoco>"""
@@ -160,6 +163,18 @@ def test_a_coarse_plan_of_it_is_unresolved_and_becomes_one_by_rk4():
     assert is_unresolved(plan)
     fine = finer(plan.problem).dynamics
     assert (fine.integrator, fine.substeps, fine.dt) == ("rk4", 2, 0.1)
+
+
+def test_the_proof_of_a_smooth_machine_finds_its_order():
+    """A chain of two links at speed, on the controls alone, in steps of 10 ms and their halves."""
+    m = Mechanism.from_mjcf(TWO_LINK)
+    dynamics = RigidBodyDynamics(m, 0.01, "leapfrog")
+    cost = TrackingCost.joints(dynamics, [0.0, 0.0, 0.0, 0.0], 30, effort=1.0)
+    plan = planner.solve(Problem(dynamics, cost, [0.3, 1.0, 2.0, -3.0]), max_iterations=3)
+    found = step_convergence(plan.problem, replay_in(CompiledTwin(plan.twin), plan))
+    assert (found.nominal, found.judged) == (1.0, "")
+    assert found.observed == pytest.approx(1.0, abs=ORDER_BOUND)
+    assert "order_shortfall" not in [one.name for one in found.section.failures]
 
 
 @pytest.mark.parametrize("damping", [1e-2, 1.0, 1e2, 1e4, 1e6])
