@@ -39,8 +39,8 @@ class RigidBodyDynamics:
     Args:
         mechanism: The machine.
         dt: Length of a stage, s.
-        integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler), "rk4", "leapfrog", of second
-            order with one evaluation a step (kernels.tree.leapfrog), or with implicit damping, for damping too stiff
+        integrator: "euler", "semi-implicit-euler" (velocity first, as MuJoCo's Euler), "rk4", "leapfrog", with
+            one evaluation a step (kernels.tree.leapfrog), or with implicit damping, for damping too stiff
             for RK4, "rosenbrock", of second order (kernels.tree.rosenbrock), and "implicitfast", of first order,
             MuJoCo's, for damping of single joints.
         prescribed: Names of joints whose accelerations are inputs (the paper's Cases 2 and 3); their actuators have
@@ -113,12 +113,13 @@ class RigidBodyDynamics:
 
     def _model_of(self, h: float) -> Model:
         """The kernel table for steps of h s."""
-        machine = self.mechanism
+        return Model(self.stepped_mechanism(h), self._driven, implicit=self._known.form == ROSENBROCK)
+
+    def stepped_mechanism(self, h: float) -> Mechanism:
+        """The mechanism whose accelerations are those of steps of a stage of h s, with its damping in its armatures."""
         if self._known.form == LEAPFROG:
-            machine = damped_later(machine, 0.5 * h / self.substeps)
-        elif self._heavier:
-            machine = damped_implicitly(machine, h)
-        return Model(machine, self._driven, implicit=self._known.form == ROSENBROCK)
+            return damped_later(self.mechanism, 0.5 * h / self.substeps)
+        return damped_implicitly(self.mechanism, h) if self._heavier else self.mechanism
 
     def __getstate__(self) -> dict[str, Any]:
         """All attributes but the tables, whose addresses are valid in this process only."""
@@ -146,7 +147,8 @@ class RigidBodyDynamics:
                 "with_step(dt, integrator) of its own."
             )
         substeps = 1
-        if self.substeps > 1 and integrator == self.integrator:
+        able = integrator in KNOWN_INTEGRATORS and KNOWN_INTEGRATORS[integrator].has_substeps
+        if self.substeps > 1 and able:
             substeps = max(math.ceil(self.substeps * dt / self.dt - ROUNDING), 1)
             if substeps > MAX_SUBSTEPS:
                 raise PlannerError(

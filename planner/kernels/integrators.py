@@ -16,8 +16,8 @@ INTEGRATORS = ("euler", "semi-implicit-euler", "rk4")
 """Of all dynamics: explicit Euler (the paper's), velocities first then positions with the new ones, classic
 Runge-Kutta; the control is held over a stage. Rigid bodies have all of KNOWN_INTEGRATORS."""
 EULER, SEMI_IMPLICIT_EULER, RUNGE_KUTTA, ROSENBROCK, LEAPFROG = range(5)
-"""Forms of a step; the last two are of second order, and take damping implicitly (kernels.tree.rosenbrock) or as it is
-in the middle of the step (kernels.tree.leapfrog)."""
+"""Forms of a step; the last two take damping implicitly (kernels.tree.rosenbrock) or as it is in the middle of the step
+(kernels.tree.leapfrog)."""
 MAX_STAGES = 4
 SHARE, MIDDLE, TURNED, END_TURNED, LENGTHS = range(5)
 """Offsets in Integrator.numbers; the lengths are the last, with 0 for the first stage."""
@@ -67,7 +67,7 @@ KNOWN_INTEGRATORS = {
     "euler": Integrator(1, EULER, 1),
     "semi-implicit-euler": Integrator(1, SEMI_IMPLICIT_EULER, 1, "EULER"),
     "rk4": Integrator(4, RUNGE_KUTTA, 4, "RK4", lengths=(0.5, 0.5, 1.0), middle=2.0, turned=(1.0 / 8.0, 1.0 / 12.0)),
-    "leapfrog": Integrator(2, LEAPFROG, 1),
+    "leapfrog": Integrator(1, LEAPFROG, 1),  # of second order where there are no velocity products
     "rosenbrock": Integrator(2, ROSENBROCK, 4, implicit=True, finer="rosenbrock", lengths=(1.0,)),
     "implicitfast": Integrator(1, SEMI_IMPLICIT_EULER, 1, "IMPLICITFAST", implicit=True, finer="rosenbrock"),
 }

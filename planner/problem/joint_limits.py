@@ -149,11 +149,12 @@ class Leader(NamedTuple):
     """The joint that another one follows, for messages: who follows is slope * leader + offset."""
 
     name: str
+    unit: str
     slope: float
     offset: float
 
     def value(self, follower: float) -> float:
-        """Where it is when its follower is at a value, rad or m."""
+        """Where it is, in its unit, when its follower is at a value, rad or m."""
         return (follower - self.offset) / self.slope
 
 
@@ -193,13 +194,11 @@ class Range(NamedTuple):
         """The end of a message about a value outside of the range: expected range and fix."""
         name, unit = coordinate
         nearest = self.model_lower if value < self.model_lower else self.model_upper
-        written = f"{nearest:.6g}"
+        message, written = f", expected {self.model_lower:g} ... {self.model_upper:g} {unit}".rstrip(), f"{nearest:.6g}"
         if self.leader is not None:
-            value, written = (
-                self.leader.value(value),
-                f"{toml_key(self.leader.name)} = {self.leader.value(nearest):.6g}",
-            )
-        message = f", expected {self.model_lower:g} ... {self.model_upper:g} {unit}".rstrip() + f": write {written}"
+            written = f"{toml_key(self.leader.name)} = {self.leader.value(nearest):.6g}"
+            value, unit = self.leader.value(value), self.leader.unit
+        message += f": write {written}"
         message += f', or limits.position = {{ {toml_key(name)} = "off" }}.' if self.of_model else "."
         if unit == "rad" and abs(value) > 2.0 * np.pi:
             message += f" Angles are in rad: {value:g} deg are {np.radians(value):.6g}."
@@ -229,8 +228,12 @@ def _leader(mechanism: Mechanism, dof: int) -> Leader | None:
     leading = np.flatnonzero(row)
     if len(leading) != 1:
         return None
-    name = mechanism.joint_names[_joint_index(mechanism, int(reduction.independent[leading[0]]))]
-    return Leader(name, float(row[leading[0]]), float(offset)) if name else None
+    leader = int(reduction.independent[leading[0]])
+    name, unit = (
+        mechanism.joint_names[_joint_index(mechanism, leader)],
+        coordinates_of_mechanism(mechanism)[leader].unit,
+    )
+    return Leader(name, unit, float(row[leading[0]]), float(offset)) if name else None
 
 
 def moved_inside_limits(

@@ -13,13 +13,14 @@ Steps resolve a motion by the local errors of its stages, carried along its clos
 Gains of multipliers and penalties may be so large that they amplify instead: where e(n+1) = A(n) e(n) + d(n) stays
 smaller, the controls alone resolve the motion, and its error counts.
 
-A plan with an error above UNRESOLVED (of Euler's methods COARSE) of a coordinate's range of motion is a motion of its
-integrator, not of its machine: its cost is no number of the machine either.
+A plan with an error above UNRESOLVED (of a method without substeps COARSE) of a coordinate's range of motion moves as
+its integrator does, not as its machine: its cost is no number of the machine either.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,6 @@ from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.protocol import integrator_of
 from planner.dynamics.step_stability import MAX_RATE_STEP, fastest_mode, substeps_of
 from planner.model.coordinates import coordinates_of
-from planner.model.passive_forces import damped_implicitly
 from planner.problem.costs.terms import call_if_supported
 from planner.problem.objective import base_problem, with_objective
 from planner.problem.plan import Plan
@@ -38,7 +38,7 @@ from planner.problem.problem_parts import FOUND, MAX_STAGES
 
 FINEST = "rk4"  # of explicit integrators
 UNRESOLVED = 0.05  # of a range of motion: as the loosest bound of a path in a proof, whose replay measures
-COARSE = 1.0  # the same for methods of first order, which a proof judges: an error as large as the motion itself
+COARSE = 1.0  # the same for Euler's methods, whose steps are stages: an error as large as the motion itself
 MIN_RANGE = 1e-3  # rad, m, rad/s, m/s, smallest range of motion, for a machine at rest
 OF_LARGEST = 0.1  # smallest range of motion, as a share of the largest of its unit
 
@@ -138,15 +138,15 @@ def stage_too_long(problem: Problem) -> str:
     known = integrator_of(dynamics)
     if not isinstance(dynamics, RigidBodyDynamics) or dynamics.integrator == known.finer != FINEST:
         return ""
-    machine = damped_implicitly(dynamics.mechanism, dynamics.dt) if known.implicit else dynamics.mechanism
-    found = fastest_mode(machine, [problem.x0, machine.home], dynamics.prescribed)
-    step = dynamics.dt / dynamics.substeps
+    states, step = [problem.x0, dynamics.mechanism.home], dynamics.dt / dynamics.substeps
+    fastest = partial(fastest_mode, states=states, prescribed=dynamics.prescribed)
+    found = fastest(dynamics.stepped_mechanism(dynamics.dt))
     if found.rate * step <= MAX_RATE_STEP:
         return ""
     try:
         wanted = f'integrator="{known.finer}"'
         if known.finer == FINEST:
-            wanted += f", substeps={substeps_of(found, dynamics.dt)}"
+            wanted += f", substeps={substeps_of(fastest(dynamics.mechanism), dynamics.dt)}"
     except PlannerError as error:
         return str(error)
     return f"{found.joint} has a rate of {found.rate:.4g} per s and a step takes {step:.3g} s, expected {wanted}."
@@ -164,7 +164,7 @@ def _with_step(dynamics: Any, dt: float, integrator: str | None) -> Any:
 def is_unresolved(plan: Plan) -> bool:
     """Whether the predicted error of a plan's steps is above its bound."""
     dynamics = None if plan.problem is None else plan.problem.dynamics
-    return step_error(plan) > (COARSE if integrator_of(dynamics).order == 1 else UNRESOLVED)
+    return step_error(plan) > (UNRESOLVED if integrator_of(dynamics).has_substeps else COARSE)
 
 
 @np.errstate(all="ignore")  # of a linear prediction that overflows: infinite

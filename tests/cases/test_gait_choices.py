@@ -34,7 +34,7 @@ def test_gaits_that_always_stand_take_leapfrog_steps(tmp_path):
         dynamics = loaded(tmp_path, WALKING + more).dynamics
         return dynamics.integrator, dynamics.substeps
 
-    assert steps('gait = "trot"\n') == ("leapfrog", 3)  # of 3.3 ms: 0.4 of the lead, 9.5 ms
+    assert steps('gait = "trot"\n') == ("leapfrog", 4)  # of 2.5 ms: at most 0.3 of the lead, 9.5 ms
     assert steps('gait = "trot"\ndt = 0.005\n') == ("leapfrog", 2)
     assert steps('gait = { kind = "trot", duty = 0.45 }\n') == ("rk4", 6)  # it flies, and lands
     assert steps('gait = "trot"\nintegrator = "rk4"\n') == ("rk4", 6)
@@ -42,7 +42,7 @@ def test_gaits_that_always_stand_take_leapfrog_steps(tmp_path):
     assert steps("") == ("rk4", 6)
     problem = loaded(tmp_path, WALKING + 'gait = "trot"\n')
     back = planner.load_plan(planner.solve(problem, max_iterations=1).save(tmp_path / "plan.npz"))
-    assert (back.problem.dynamics.integrator, back.problem.dynamics.substeps) == ("leapfrog", 3)
+    assert (back.problem.dynamics.integrator, back.problem.dynamics.substeps) == ("leapfrog", 4)
 
 
 # m from the centre of mass: two rows of three feet, and two of two
@@ -51,17 +51,20 @@ FOUR = SIX[[0, 2, 3, 5]]
 
 
 @pytest.mark.parametrize(
-    ("feet", "turns", "holds"),
+    ("feet", "turns", "duty", "holds"),
     [
-        (SIX, [0.0, 0.5, 0.0, 0.5, 0.0, 0.5], True),  # two tripods
-        (SIX, [0.0, 0.0, 0.0, 0.5, 0.5, 0.5], False),  # one side after the other
-        (FOUR, TURNS["trot"], False),
-        (FOUR, TURNS["walk"], False),  # the centre of mass is on the edge of three feet
-        (FOUR + np.array([0.3, 0.0, 0.0]), [0.0, 0.25, 0.5, 0.75], False),  # behind all of them
+        (SIX, [0.0, 0.5, 0.0, 0.5, 0.0, 0.5], 0.6, True),  # two tripods
+        (SIX, [0.0, 0.0, 0.0, 0.5, 0.5, 0.5], 0.6, False),  # one side after the other
+        (SIX, [0.0, 1 / 6, 2 / 6, 3 / 6, 4 / 6, 5 / 6], 0.8, False),  # two at a time: three of four are on one side
+        (SIX, [0.0, 2 / 6, 4 / 6, 3 / 6, 5 / 6, 1 / 6], 0.85, True),  # one at a time
+        (SIX, [0.0, 1 / 6, 2 / 6, 5 / 6, 4 / 6, 3 / 6], 0.5, False),  # three neighbours at a time
+        (FOUR, TURNS["trot"], 0.6, False),
+        (FOUR, TURNS["walk"], 0.8, False),  # the centre of mass is on the edge of three feet
+        (FOUR + np.array([0.3, 0.0, 0.0]), [0.0, 0.25, 0.5, 0.75], 0.8, False),  # behind all of them
     ],
 )
-def test_three_feet_around_the_centre_of_mass_hold_it(feet, turns, holds):
-    assert _holds(feet, np.array(turns), np.array([0.0, 0.0, 1.0])) == holds
+def test_three_feet_around_the_centre_of_mass_hold_it(feet, turns, duty, holds):
+    assert _holds(feet, np.array(turns), duty, np.array([0.0, 0.0, 1.0])) == holds
 
 
 def test_a_machine_that_feet_hold_at_all_times_takes_as_few_cycles_as_its_way_needs(straight, monkeypatch):
@@ -85,7 +88,10 @@ def test_a_foot_may_be_called_as_its_shape_or_as_a_body_fixed_to_its_shank(what)
     assert [phase.stand for phase in with_feet_of(gait, mechanism).phases] == [LEGS, LEGS[:1]]
     turns = gait_of({"feet": {what.format(FEET[0]): 0.5, LEGS[1]: 0.0}})
     assert with_feet_of(turns, mechanism).feet == {LEGS[0]: 0.5, LEGS[1]: 0.0}
-    other = gait_of(phases((None, ["shoe"])))
+    both = gait_of({"feet": {what.format(FEET[1]): 0.5, LEGS[1]: 0.0}})
+    with pytest.raises(planner.PlannerError, match=f"turns of '{what.format(FEET[1])}' and '{LEGS[1]}'"):
+        with_feet_of(both, mechanism)
+    other = gait_of(phases((0.5, ["shoe"]), (None, [""])))
     assert with_feet_of(other, mechanism) == other  # to be refused
 
 

@@ -12,7 +12,7 @@ from planner.dynamics.kinematics import center_of_mass
 from planner.dynamics.protocol import rollout_states
 from planner.problem.tasks.flight import phases_of_jumps
 from planner.problem.tasks.gait import gait_of
-from planner.problem.tasks.jump import flights_of, height_above_legs, jumping
+from planner.problem.tasks.jump import _at_speed, flights_of, height_above_legs, jumping
 from planner.problem.tasks.legs import points_of_feet, standing_feet
 
 # A trunk of 3 kg on a vertical rail, and a leg of two links of 0.25 m, of which motors drive both hinges.
@@ -101,6 +101,45 @@ def test_a_jump_that_is_higher_than_its_legs_are_long_crouches_as_far_as_they_be
     on_ground = [*range(41), *range(140, N + 1)]
     away = points_of_feet(m, found[on_ground], feet)[0] - places[on_ground]
     assert np.linalg.norm(away, axis=2).max() < 6e-3
+
+
+def leap(m, x0, apex, N=120):
+    """A trunk that goes 0.3 m ahead, in even steps to an apex knot and from it, and 0.15 m up there."""
+    q = np.tile(x0[: m.nq], (N + 1, 1))
+    s = np.interp(np.arange(N + 1), [0, apex, N], [0.0, 0.5, 1.0])
+    q[:, 0] += 0.3 * s
+    q[:, 2] += 0.15 * np.sin(np.pi * s) ** 2
+    return q
+
+
+def test_a_flight_that_is_not_in_the_middle_has_its_apex_where_the_motion_has_it(quadruped):
+    m, dt, (a, b) = quadruped.dynamics.mechanism, 0.01, (30, 60)
+    q, feet = leap(m, quadruped.x0, 45), standing_feet(m, quadruped.x0)
+    paced = _at_speed(m, q, (a, b), [12, 20])
+    np.testing.assert_allclose(paced[[0, 45, -1]], q[[0, 45, -1]], atol=1e-12)
+    for knots in (slice(a, 46), slice(45, b + 1)):  # at one speed on its way up and at one on its way down
+        speeds = np.linalg.norm(np.diff(paced[knots, :3], axis=0), axis=1)
+        np.testing.assert_allclose(speeds, speeds.mean(), rtol=0.02)  # chords over corners of its way are shorter
+    assert (
+        np.ptp(paced[: a - 12, 0]) == np.ptp(paced[b + 20 :, 0]) == 0.0
+    )  # it goes ahead when it is pushed, not before
+    places = np.tile(points_of_feet(m, q[:1], feet)[0], (len(q), 1, 1))
+    places[b:, :, 0] += 0.3
+    found = jumping(m, q, feet, places, [(a, b)], m.joint_range, dt)
+    assert found is not None
+    assert found[45, 0] == pytest.approx(q[45, 0], abs=1e-12)
+
+
+def test_a_machine_that_steps_before_it_jumps_goes_with_its_feet(quadruped):
+    m, dt, (a, b) = quadruped.dynamics.mechanism, 0.01, (70, 100)
+    q, feet = leap(m, quadruped.x0, 85), standing_feet(m, quadruped.x0)
+    places = np.tile(points_of_feet(m, q[:1], feet)[0], (len(q), 1, 1))
+    places[:, :, 0] += (q[:, 0] - q[0, 0])[:, None]
+    places[a:, :, 0] = places[a, :, 0]
+    places[b:, :, 0] += q[-1, 0] - q[a, 0]
+    found = jumping(m, q, feet, places, [(a, b)], m.joint_range, dt)
+    assert found is not None
+    np.testing.assert_allclose(found[:, 0], q[:, 0], atol=1e-12)
 
 
 def test_phases_are_those_of_a_parabola_to_the_goal(tmp_path, jump):

@@ -12,19 +12,30 @@ from closed_chains import four_bar
 from machines import FRICTION_ARM
 from trees import CHAINS, actuated, damped, driven, machines, random_state
 
+import planner
 from planner import Mechanism, Problem, RigidBodyDynamics
 from planner.base.errors import PlannerError
+from planner.cases.problem_file import load
 from planner.costs import FrameCost, TrackingCost
 from planner.dynamics.protocol import rollout_states
-from planner.dynamics.step_stability import FastestMode, leaps_of
+from planner.dynamics.step_stability import FastestMode, leaping, leaps_of, substeps_of
+from planner.kernels.integrators import KNOWN_INTEGRATORS
 from planner.model.contact.laws import Contact, ContactLaw, Plane
 from planner.model.couplings import Coupling
 from planner.model.passive_forces import damped_later, implicit_damping
 from planner.model.twin import Twin
+from planner.problem.rediscretize import COARSE, UNRESOLVED, finer, is_unresolved, stage_too_long, step_error
+from planner.proof.replays.compiled_twin import CompiledTwin
+from planner.proof.replays.replaying import replay_in
 from planner.proof.same_step import stage_function
+from planner.proof.step_convergence import ORDER_BOUND, step_convergence
 from planner.solvers.engine import acquire_engine
 
 LAW = ContactLaw(2e3, 80.0, friction=0.7, lead=0.02, cone="pyramidal", ramp=4e-3, force_ramp=0.0)
+TWO_LINK = """<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody><body>
+  <joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".03"/>
+  <body pos=".5 0 0"><joint name="b" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .5 0 0" size=".03"/></body></body>
+  </worldbody><actuator><motor joint="a"/></actuator></mujoco>"""
 BOX = """<mujoco><worldbody><body><freejoint/><geom type="box" size=".2 .1 .05" mass="3"/><body name="arm" pos=".2 0 0">
   <joint name="hinge" axis="0 1 0" damping="2" armature=".01"/>
   <geom type="capsule" fromto="0 0 0 .1 .1 -.2" size=".02" mass=".5"/></body></body></worldbody>
@@ -126,12 +137,44 @@ def test_mujocos_accelerations_give_the_same_step(text, seed):
 
 
 @pytest.mark.parametrize(("damping", "stiffness"), [(3.0, 0.0), (30.0, 0.0), (0.0, 100.0), (3.0, 100.0)])
-def test_the_method_is_of_second_order(damping, stiffness):
+def test_without_velocity_products_it_is_of_second_order(damping, stiffness):
     m = Mechanism.from_mjcf(SLIDER.format(damping=damping, stiffness=stiffness))
     x, u = np.array([[0.1, 1.0]]), np.array([[0.5]])
     true = RigidBodyDynamics(m, 0.1, substeps=16).step(x, u)
     errors = [np.abs(RigidBodyDynamics(m, 0.1, "leapfrog", substeps=k).step(x, u) - true).max() for k in (4, 8, 16)]
     np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 2.0, atol=0.1)
+
+
+def test_with_velocity_products_it_is_of_first_order():
+    m, x, u = Mechanism.from_mjcf(TWO_LINK), np.array([[0.3, 1.0, 2.0, -3.0]]), np.array([[0.5]])
+    true = RigidBodyDynamics(m, 0.1, substeps=16).step(x, u)
+    errors = [np.abs(RigidBodyDynamics(m, 0.1, "leapfrog", substeps=k).step(x, u) - true).max() for k in (4, 8, 16)]
+    order = KNOWN_INTEGRATORS["leapfrog"].order
+    np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), order, atol=0.15)
+
+
+def test_a_coarse_plan_of_it_is_unresolved_and_becomes_one_by_rk4():
+    """Of the Euler methods an error as large as the motion is left to a proof; this one the planner chooses itself."""
+    m = Mechanism.from_mjcf(TWO_LINK)
+    dynamics = RigidBodyDynamics(m, 0.1, "leapfrog", substeps=2)
+    cost = TrackingCost.joints(dynamics, [0.0, 0.0, 0.0, 0.0], 10, effort=1e-3, final_position=1e3)
+    plan = planner.solve(Problem(dynamics, cost, [0.3, 1.0, 2.0, -3.0]), max_iterations=1)
+    assert UNRESOLVED < step_error(plan) < COARSE
+    assert is_unresolved(plan)
+    fine = finer(plan.problem).dynamics
+    assert (fine.integrator, fine.substeps, fine.dt) == ("rk4", 2, 0.1)
+
+
+def test_the_proof_of_a_smooth_machine_finds_its_order():
+    """A chain of two links at speed, on the controls alone, in steps of 10 ms and their halves."""
+    m = Mechanism.from_mjcf(TWO_LINK)
+    dynamics = RigidBodyDynamics(m, 0.01, "leapfrog")
+    cost = TrackingCost.joints(dynamics, [0.0, 0.0, 0.0, 0.0], 30, effort=1.0)
+    plan = planner.solve(Problem(dynamics, cost, [0.3, 1.0, 2.0, -3.0]), max_iterations=3)
+    found = step_convergence(plan.problem, replay_in(CompiledTwin(plan.twin), plan))
+    assert (found.nominal, found.judged) == (1.0, "")
+    assert found.observed == pytest.approx(1.0, abs=ORDER_BOUND)
+    assert "order_shortfall" not in [one.name for one in found.section.failures]
 
 
 @pytest.mark.parametrize("damping", [1e-2, 1.0, 1e2, 1e4, 1e6])
@@ -159,15 +202,38 @@ def test_what_it_does_not_take():
     m = Mechanism.from_mjcf(SLIDER.format(damping=1.0, stiffness=0.0).replace("<motor", drives))
     with pytest.raises(PlannerError, match="drives joint 'slide' by negative damping"):
         RigidBodyDynamics(m, 0.01, "leapfrog")
-    assert leaps_of(m, FastestMode(400.0, "foot", 400.0, lead=0.0095), 0.01) == 0
+    with pytest.raises(PlannerError, match="drives joint 'slide' by negative damping"):
+        leaping(m, 0.01)
 
 
 def test_leads_choose_its_steps():
-    m = standing(Mechanism.from_mjcf(BOX, contacts="off").home)
-    by_lead = FastestMode(400.0, "foot", 400.0, lead=0.01)
-    assert [leaps_of(m, by_lead, dt) for dt in (0.004, 0.0041, 0.01)] == [1, 2, 3]  # each at most 0.4 of the lead
-    assert leaps_of(m, by_lead, 1.0) == 0  # more than 16
-    assert leaps_of(m, FastestMode(400.0, "hinge", 400.0), 0.01) == 0
+    by_lead = FastestMode(350.0, "foot", 350.0, lead=0.01)
+    assert [leaps_of(by_lead, dt) for dt in (0.003, 0.0031, 0.01)] == [1, 2, 4]  # each at most 0.3 of the lead
+    with pytest.raises(PlannerError, match="16 are the most"):
+        leaps_of(by_lead, 1.0)
+    # What swings nearly as fast as the lead asks for: 340 per s 2 ms are 0.7, as of RK4.
+    assert [leaps_of(by_lead._replace(own_rate=rate), 0.01) for rate in (100.0, 280.0, 340.0)] == [4, 4, 5]
+    no_lead = FastestMode(400.0, "hinge", 400.0, own_rate=400.0)
+    assert leaps_of(no_lead, 0.01) == substeps_of(no_lead, 0.01)
+
+
+@pytest.mark.parametrize("damping", [1.0, 1e3, 1e5])
+def test_a_file_that_asks_for_it_may_have_any_damping(tmp_path, damping):
+    """RK4 would take 1e5 / s 0.01 s / 2 = 500 substeps; of what is left, 2 / dt at most, three are enough."""
+    (tmp_path / "m.xml").write_text(SLIDER.format(damping=damping, stiffness=1.0))
+    text = 'model = "m.xml"\nduration = 0.2\nintegrator = "leapfrog"\ngoal = { slide = 0.1 }\n'
+    (tmp_path / "p.toml").write_text(text)
+    problem = load(tmp_path / "p.toml").problem
+    assert (problem.dynamics.dt, problem.dynamics.integrator) == (0.01, "leapfrog")
+    assert problem.dynamics.substeps <= 3
+    assert stage_too_long(problem) == ""
+
+
+def test_a_swing_too_fast_for_it_is_told():
+    m = Mechanism.from_mjcf(SLIDER.format(damping=1.0, stiffness=1e5))  # 316 rad/s, of 1 kg
+    dynamics = RigidBodyDynamics(m, 0.01, "leapfrog")
+    problem = Problem(dynamics, TrackingCost.joints(dynamics, [0.0, 0.0], 5, effort=1.0), [0.1, 0.0])
+    assert 'expected integrator="rk4", substeps=5' in stage_too_long(problem)  # 316 per s 0.01 s / 0.7 = 4.5
 
 
 @pytest.mark.parametrize("integrator", ["leapfrog", "rosenbrock", "semi-implicit-euler"])

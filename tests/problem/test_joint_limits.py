@@ -257,3 +257,20 @@ def test_a_goal_that_takes_a_follower_out_of_its_range_is_told_what_to_write_of_
     (tmp_path / "problem.toml").write_text(f'model = "mirror.xml"\ngoal = {{ lead = {goal} }}\nduration = 1.0\n')
     with pytest.raises(PlannerError, match=rf"has tip at .* rad, expected -2 \.\.\. 2 rad: write lead = {nearest}, or"):
         load(tmp_path / "problem.toml")
+
+
+def test_the_hint_about_degrees_is_for_the_leaders_unit(tmp_path):
+    """A hinge that follows a slide of 7 m is told nothing of angles; a slide that follows a hinge at 60 rad is."""
+    text = """<mujoco><compiler angle="radian"/><worldbody><body>
+      <joint name="lead" type="{}" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .1 0 0" size=".01" mass=".1"/>
+      <body pos=".1 0 0"><joint name="tip" type="{}" axis="0 1 0" range="-2 2" limited="true"/>
+       <geom type="capsule" fromto=".02 0 0 .1 0 0" size=".01" mass=".1"/></body></body></worldbody>
+      <equality><joint joint1="tip" joint2="lead" polycoef="0 1 0 0 0"/></equality>
+      <actuator><motor joint="lead"/></actuator></mujoco>"""
+    for kinds, goal, told in ((("slide", "hinge"), 7.0, False), (("hinge", "slide"), 60.0, True)):
+        (tmp_path / "mirror.xml").write_text(text.format(*kinds))
+        (tmp_path / "problem.toml").write_text(f'model = "mirror.xml"\ngoal = {{ lead = {goal} }}\nduration = 1.0\n')
+        with pytest.raises(PlannerError, match=r"has tip at .*: write lead = 2") as refused:
+            load(tmp_path / "problem.toml")
+        assert ("60 deg are 1.0472" in str(refused.value)) is told
+        assert ("Angles" in str(refused.value)) is told

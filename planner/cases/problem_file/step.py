@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from planner.base.arguments import number
+from planner.base.errors import PlannerError
 from planner.dynamics.rigid_body import MAX_SUBSTEPS
 from planner.dynamics.step_stability import (
     IMPLICIT,
@@ -17,6 +19,7 @@ from planner.dynamics.step_stability import (
     fastest_mode,
     follows_all_but_damping,
     implicit_error,
+    leaping,
     leaps_of,
     reason,
     substeps_of,
@@ -53,6 +56,7 @@ def with_step(
 
     Where contacts with a lead ask for the shortest steps and the machine `leaps`, since a foot stands at all times and
     none lands hard, the leapfrog method takes the place of RK4: an eighth of the evaluations, and the same plan to 1 %.
+    It takes any damping of single joints, so that what is left of the machine's rates in a stage decides.
 
     Raises:
         PlannerError: The duration is no number, or the dt that is asked for takes more than 16 substeps.
@@ -64,7 +68,9 @@ def with_step(
         return table, table["substeps"], {}
     if not mechanism.contacts:  # which may have home deep in the ground
         states = (*states, mechanism.home)
-    found = FastestMode(0.0, "", 0.0) if known else fastest_mode(mechanism, states, prescribed)
+    stage = USUAL if table["dt"] == AUTO else number("dt", table["dt"], greater_than=0.0)
+    machine = leaping(mechanism, stage) if table["integrator"] == LEAPFROG else mechanism
+    found = FastestMode(0.0, "", 0.0) if known else fastest_mode(machine, states, prescribed)
     usual = USUAL if found.swing * USUAL <= SWING else max(SWING / found.swing, SHORTEST)
     reasons, dt, substeps, integrator = {}, table["dt"], table["substeps"], table["integrator"]
     most = substeps if isinstance(substeps, int) else MAX_SUBSTEPS
@@ -108,20 +114,20 @@ def with_step(
         elif longest < USUAL:
             reasons["dt"] = f"{dt:.4g} s: the machine swings at {found.swing:.4g} rad/s, almost without damping"
     if substeps == AUTO:
-        count = leaps_of(mechanism, found, number("dt", dt, greater_than=0.0))
-        if leaps and count and table["integrator"] == AUTO and integrator == "rk4":
-            integrator = LEAPFROG
+        if leaps and found.lead and table["integrator"] == AUTO and integrator == "rk4" and not closed:
+            with suppress(PlannerError):  # of damping that the leapfrog method does not take
+                found = fastest_mode(leaping(mechanism, stage), states, prescribed)
+                integrator = LEAPFROG
         substeps = exact if integrator in able else 1
-        if integrator == LEAPFROG and count:
-            substeps = count
+        if integrator in divided:
+            substeps = (leaps_of if integrator == LEAPFROG else substeps_of)(found, number("dt", dt, greater_than=0.0))
+        if integrator == LEAPFROG and found.lead:
             reasons["substeps"] = (
-                f"{count} leapfrog steps a stage, because the damping of {found.joint} feels the velocity that it has "
-                f"{1e3 * found.lead:.3g} ms later."
+                f"{substeps} leapfrog steps a stage, because the damping of {found.joint} feels the velocity that it "
+                f"has {1e3 * found.lead:.3g} ms later."
             )
-        elif integrator in divided:
-            substeps = substeps_of(found, number("dt", dt, greater_than=0.0))
-            if substeps > 1:
-                reasons["substeps"] = reason(found, substeps)
+        elif integrator in divided and substeps > 1:
+            reasons["substeps"] = reason(found, substeps)
     return table | {"dt": dt, "integrator": integrator}, substeps, reasons
 
 

@@ -7,8 +7,8 @@ With h the step and the forces those of the middle of the step,
 which is of second order where forces do not depend on velocities. Damping, friction loss and laws with a lead feel the
 velocity v + h/2 a, of the middle too: with D the damping, M + h/2 D is in place of M, and the lead is h/2 longer
 (model.passive_forces.damped_later). So these are of second order as well, and stable for any damping: it is the
-implicit midpoint rule for them. Velocity products have the v of the start, so that their part of the error is of first
-order.
+implicit midpoint rule for them. Velocity products have the v of the start, so that their part of the error, and with
+it the method, is of first order.
 Rotations follow one vector over the whole step, h/2 (v + v+). Activations go by the midpoint method.
 """
 

@@ -62,7 +62,7 @@ TURNS = {
     "pace": (0.0, 0.5, 0.0, 0.5),
 }
 SHIFT = 3.0  # times sqrt(h / g), before the first step on two feet: the weight then goes to one of them
-ROUNDING = 1e-9  # of a duration: by which the times of phases miss it
+ROUNDING = 1e-9  # of a duration: by which the times of phases miss it; of a cycle, that of turns
 STRIDE = 0.5  # of the height of the centre of mass, in a cycle of a machine that falls at no time
 WIDEST = 0.9 * np.pi  # rad: largest angle between two feet, as the centre of mass sees them, that hold it firmly
 OVERLAP = 0.2  # of a slot, in which feet of two turns stand by default
@@ -149,8 +149,7 @@ class Gait:
         if self.phases:
             return all(phase.stand for phase in self.phases)
         turns = np.array(list(self.feet.values()) if self.kind is None else [0.0, 0.5])  # that all kinds have
-        swing = 1.0 - self.times_of(turns)[1]
-        return not any(all((turn - other) % 1.0 < swing for other in turns) for turn in turns)
+        return not _in_air(turns, self.times_of(turns)[1]).all(axis=1).any()
 
     @property
     def _begins(self) -> list[float]:
@@ -185,7 +184,7 @@ class Gait:
                     f"which the weight goes to one foot and back: expected more than {2.0 * wait + cycle:.2g} s."
                 )
         cycles = round(moving / (slots * slot * falling)) if self.stride is None else math.ceil(distance / self.stride)
-        if self.stride is None and _holds(dragged[0] - centre, turns, standing[0].normal):
+        if self.stride is None and _holds(dragged[0] - centre, turns, duty, standing[0].normal):
             cycles = min(cycles, math.ceil(distance / (STRIDE * h)))
         cycles = max(1, cycles)
         T = moving / (cycles - 1 + lead + float(turns.max()) + 1.0 - duty)
@@ -252,12 +251,17 @@ class Gait:
         return turns
 
 
-def _holds(feet: np.ndarray, turns: np.ndarray, normal: np.ndarray) -> bool:
-    """Whether feet at (F, 3) m from the centre of mass have it between them while those of any turn (F,) swing."""
+def _in_air(turns: np.ndarray, duty: float) -> np.ndarray:
+    """(F, F) bool, which feet (of a row) are in the air once that of the row has left the ground; turns (F,)."""
+    return (turns[:, None] - turns) % 1.0 < 1.0 - duty - ROUNDING
+
+
+def _holds(feet: np.ndarray, turns: np.ndarray, duty: float, normal: np.ndarray) -> bool:
+    """Whether feet at (F, 3) m from the centre of mass have it between them whichever swing, by their turns (F,)."""
     level = np.linalg.svd(normal[None])[2][1]
     angles = np.arctan2(feet @ np.cross(normal, level), feet @ level)
-    for turn in np.unique(turns):
-        around = np.sort(angles[turns != turn])
+    for swing in _in_air(turns, duty):
+        around = np.sort(angles[~swing])
         if len(around) < 3 or np.diff(around, append=around[0] + 2.0 * np.pi).max() > WIDEST:
             return False
     return True

@@ -8,8 +8,9 @@ at v = g T / 2. Before, it goes down to a depth d below the height of the take-o
 which ends at v and accelerates by at most 2/3 v^2 / d, 2 g where legs bend so far: they carry three times the weight;
 else 4 or 8 g. A landing is the same backwards. Feet stay where they stand, and legs go from their pose at the take-off
 to that at the landing.
-A motion with one flight goes its way along the ground, and turns, in the same time: as s^3 while it is pushed, so that
-the force has one direction, and at one speed while it flies. With the crouch by default 3/4 of the way are in the air.
+A motion with one flight, and no foot that steps beside it, goes its way along the ground, and turns, in the same time:
+as s^3 while it is pushed, so that the force has one direction, and at one speed while it rises and while it falls.
+With the crouch by default 3/4 of the way are in the air. At the apex it is where the motion has it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from planner.dynamics.kinematics import center_of_mass
 from planner.model.mechanism import Mechanism
 from planner.problem.initial_guess import minimum_jerk
-from planner.problem.tasks.legs import REACHED, Foot, bent, legs_of, points_of_feet, shifted
+from planner.problem.tasks.legs import REACHED, STILL, Foot, bent, legs_of, points_of_feet, shifted
 
 DEPTHS = (2.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)  # of c: for accelerations of 2, 4 and 8 g
 LONGEST_PUSH = 0.6  # of the time on the ground before a take-off, the rest of it for the way down
@@ -55,12 +56,13 @@ def jumping(
     at, on_ground = mechanism.q_address[legs_of(mechanism, feet)], np.ones(len(q), dtype=bool)
     for a, b in flights:
         on_ground[a + 1 : b] = False
+    stays = all(np.ptp(part, axis=0).max() <= STILL for a, b in flights for part in (places[: a + 1], places[b:]))
     for depth in DEPTHS:
         found = _heights(heights, flights, g, dt, depth)
         if found is None:
             return None
         wanted, pushes = found
-        placed, errors = _at_speed(mechanism, q, flights[0], pushes) if len(flights) == 1 else q, np.zeros(1)
+        placed, errors = _at_speed(mechanism, q, flights[0], pushes) if stays and len(flights) == 1 else q, np.zeros(1)
         for _ in range(MATCHES):
             placed = shifted(mechanism, placed, np.outer(wanted - center_of_mass(mechanism, placed) @ n, n))
             placed[on_ground], errors = bent(mechanism, placed[on_ground], feet, places[on_ground], ranges)
@@ -97,19 +99,22 @@ def height_above_legs(
 
 
 def _at_speed(mechanism: Mechanism, q: np.ndarray, flight: tuple[int, int], pushes: list[int]) -> np.ndarray:
-    """A motion (N+1, nq) at other times: pushed and caught in so many knots each, at one speed between."""
-    (a, b), (push, catch), space = flight, pushes, mechanism.space
-    x = np.zeros((len(q), space.nx))
+    """A motion (N+1, nq) at other times: pushed and caught in so many knots each, and at the apex when it was."""
+    (a, b), (push, catch) = flight, pushes
+    apex = (a + b) // 2
+    falls = _paced(mechanism, q[apex:][::-1], catch, b - apex)[::-1]
+    return np.concatenate([_paced(mechanism, q[: apex + 1], push, apex - a), falls[1:]])
+
+
+def _paced(mechanism: Mechanism, q: np.ndarray, push: int, rise: int) -> np.ndarray:
+    """A motion (n+1, nq) at other times: pushed for so many knots, and at one speed for so many to its end."""
+    space, x = mechanism.space, np.zeros((len(q), mechanism.space.nx))
     x[:, : mechanism.nq] = q
     steps = space.difference(x[1:], x[:-1])[:, : mechanism.nv]
     path = np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
-    share = np.concatenate([
-        np.zeros(a - push), push / 3.0 * np.linspace(0.0, 1.0, push + 1)[:-1] ** 3, push / 3.0 + np.arange(b - a + 1),
-    ])  # fmt: skip
-    whole = share[-1] + catch / 3.0
-    share = np.append(share, whole - catch / 3.0 * np.linspace(1.0, 0.0, catch + 1)[1:] ** 3)
-    share = np.append(share, np.full(len(q) - len(share), whole)) / whole
-    at = np.interp(share * path[-1], path, np.arange(len(q)))
+    pushed = push / 3.0 * np.linspace(0.0, 1.0, push + 1)[:-1] ** 3
+    share = np.concatenate([np.zeros(len(steps) - push - rise), pushed, push / 3.0 + np.arange(rise + 1)])
+    at = np.interp(share / share[-1] * path[-1], path, np.arange(len(q)))
     k = np.minimum(at.astype(int), len(q) - 2)
     displacement = np.zeros((len(q), space.ndx))
     displacement[:, : mechanism.nv] = (at - k)[:, None] * steps[k]

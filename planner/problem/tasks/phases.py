@@ -14,7 +14,7 @@ class Phase(NamedTuple):
     """A part of a motion, and who stands in it."""
 
     until: float  # s
-    stand: tuple[str, ...]  # names of bodies; the other feet swing
+    stand: tuple[str, ...]  # names of bodies or geoms; the other feet swing
 
 
 def phase_of(table: Any, k: int, of: int) -> Phase:
@@ -26,7 +26,7 @@ def phase_of(table: Any, k: int, of: int) -> Phase:
         choice(f"a key of {where}", key, ("until", "stand"))
     stand = table.get("stand")
     if not isinstance(stand, (list, tuple)) or not all(isinstance(name, str) for name in stand):
-        raise PlannerError(f"stand of {where} is {short_repr(stand)}, expected names of bodies, [] for none.")
+        raise PlannerError(f"stand of {where} is {short_repr(stand)}, expected names of bodies or geoms, [] for none.")
     if "until" not in table and k < of:
         raise PlannerError(f"{where} has no `until`, expected the time of its end, s; only the last needs none.")
     until = number(f"until of {where}", table["until"], greater_than=0.0) if "until" in table else math.inf
