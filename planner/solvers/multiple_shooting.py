@@ -15,8 +15,8 @@ and below that of a rollout of the first controls; else a step length alpha alon
 which leaves defects (1 - alpha) g to first order. Short steps increase state regularization (see
 solvers.step_control), up to a limit. Hessians are Gauss-Newton's.
 
-Early rollouts may be far below the merit and nowhere near the states: a machine that is to jump falls. So along a
-motion the share is small; where no step lowers the merit, and in the last iteration, it is 1.
+Early rollouts may be far below the merit and nowhere near the states: a machine that is to jump falls. So along a jump
+the share is small; where no step lowers the merit, and in the last iteration, it is 1.
 """
 
 from __future__ import annotations
@@ -41,9 +41,11 @@ from planner.solvers.engine import DefectStep, Engine, acquire_engine, release_e
 from planner.solvers.options import DEFAULT, SolverOptions
 from planner.solvers.step_control import Regularization
 
-# Along a motion defects fall further where steps are short, and the rollout that closes them is to be near it. At 1 the
-# first rollout of a quadruped that is to jump falls, and the solve misses its goal; at a tenth it takes 52 iterations.
-ALONG = SolverOptions(max_defect_regularization=1e4, closing_share=0.1)
+ALONG = SolverOptions(max_defect_regularization=1e4)  # along a gait defects fall further where steps are short
+# Of a jump the rollout that closes them is to be near the motion. At 1 the first one of a quadruped falls, and the
+# solve misses its goal; at a tenth it takes 52 iterations. A pace, which never flies, takes 53 at 1, and fails at a
+# tenth.
+IN_FLIGHT = SolverOptions(max_defect_regularization=1e4, closing_share=0.1)
 GROWTH_MARGIN = 1.1  # nu below this multiple of the largest multiplier is reset
 
 Value = Callable[[np.ndarray, np.ndarray], float]  # of states (N+1, nx) and controls (N, nu)
@@ -80,14 +82,16 @@ def line_to_the_end(problem: Problem) -> np.ndarray | None:
     return guessed_states(problem, "line") if np.all(np.diagonal(tracking.Q[-1]) > 0.0) else None
 
 
-def controls_along(problem: Problem, states: np.ndarray, first: np.ndarray, max_iterations: int) -> np.ndarray:
+def controls_along(
+    problem: Problem, states: np.ndarray, first: np.ndarray, max_iterations: int, options: SolverOptions = ALONG
+) -> np.ndarray:
     """Controls (N, nu) of the first rollout that closes the defects of states (N+1, nx), without their limits.
 
     It begins with the controls `first` (N, nu). Where no rollout closes them, those of the best rollout of shares of
     `first`.
     """
     engine = acquire_engine(problem, ARMIJO)
-    _, _, interrupted = close_defects(problem, engine, False, states, first, max_iterations, None, options=ALONG)
+    _, _, interrupted = close_defects(problem, engine, False, states, first, max_iterations, None, options=options)
     if interrupted:
         raise KeyboardInterrupt
     controls = engine.trajectory()[1]

@@ -29,7 +29,7 @@ from planner.problem.default_weights import servos_of
 from planner.problem.initial_guess import interpolated_states, straight_line
 from planner.problem.problem import Problem
 from planner.problem.tasks.reference_motion import closed_chain_reference
-from planner.solvers.multiple_shooting import controls_along
+from planner.solvers.multiple_shooting import IN_FLIGHT, controls_along
 from planner.solvers.other_guesses import line_tracking_controls, tracking_controls
 
 SHOTS = 40  # iterations along a gait: a step of 18 degrees of freedom takes 5, a walk of five steps 15, of 35 too 31
@@ -89,7 +89,7 @@ def first_guess(
     hold = np.tile(quasi_static_controls(problem.dynamics, problem.x0), (problem.N, 1))
     found = None
     if kind == "auto" and jump is not None:
-        found = controls_along(*jump, _servos_along(jump[0]), SHOTS)
+        found = controls_along(*jump, _servos_along(jump[0]), SHOTS, IN_FLIGHT)
     elif kind == "auto" and way is not None and way.walks:
         found = controls_along(problem, way.states, _servos_along(problem), SHOTS)
     elif kind != "hold":
