@@ -43,10 +43,6 @@ MAX_RATE_STEP = 2.0
 # Of the lead of a contact or a stop: a substep. Contacts begin and slip abruptly, so that steps as short as their rate
 # alone asks for, a third of this number, leave replays at finer steps centimetres off; shorter ones change little.
 LEAD_SHARE = 0.2
-# The same of a step of "leapfrog", whose contacts feel the velocity of the middle of the step. In a stage of 10 ms four
-# steps, 0.26 of the lead, leave a predicted error of 7 % of its range of motion in a quadruped's pace, and its walk
-# fails its proof; with five both pass, and less than 5 % is left, above which a plan is unresolved.
-LEAP_SHARE = 0.25
 NEAR = 0.05  # of a range: a joint that starts or ends as close to a stop is likely to meet it
 IMPLICIT = 1e-3
 """Largest implicit_error for which damping is integrated implicitly, no unit: a tenth of the path tolerance."""
@@ -177,7 +173,7 @@ def substeps_of(found: FastestMode, dt: float) -> int:
 def leaps_of(found: FastestMode, dt: float) -> int:
     """Number of "leapfrog" substeps, 1 to 16, of a stage of dt s of a machine as leaping() has it.
 
-    Where a contact with a lead asks for the shortest steps these are LEAP_SHARE of it, or as short as the largest
+    Where a contact with a lead asks for the shortest steps these are LEAD_SHARE of it, or as short as the largest
     eigenvalue asks for.
 
     Raises:
@@ -185,7 +181,7 @@ def leaps_of(found: FastestMode, dt: float) -> int:
     """
     if found.lead == 0.0:
         return substeps_of(found, dt)
-    needed = math.ceil(max(dt / (LEAP_SHARE * found.lead), found.own_rate * dt / TARGET_RATE_STEP) - _ROUNDING)
+    needed = math.ceil(max(dt / (LEAD_SHARE * found.lead), found.own_rate * dt / TARGET_RATE_STEP) - _ROUNDING)
     return max(needed, 1) if needed <= MAX_SUBSTEPS else substeps_of(found, dt)
 
 
