@@ -55,7 +55,7 @@ def with_step(
     stages is the duration.
 
     Where contacts with a lead ask for the shortest steps and the machine `leaps`, since a foot stands at all times and
-    none lands hard, the leapfrog method takes the place of RK4: an eighth of the evaluations, and the same plan to 1 %.
+    none lands hard, the leapfrog method takes the place of RK4: a quarter of the evaluations, and the same plan to 1 %.
     It takes any damping of single joints, so that what is left of the machine's rates in a stage decides.
 
     Raises:
