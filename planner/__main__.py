@@ -11,8 +11,10 @@ import gc
 import os
 import signal
 import sys
+import threading
+from _thread import interrupt_main
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 _done: list[int] = []  # the exit code of this process, once its command has written all
 
@@ -48,10 +50,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run() -> NoReturn:
     """Run the command of this process, which has nothing to do after it."""
     gc.disable()  # until the command is imported, see commands: no garbage is found in what stays
+    sys.unraisablehook = _unraisable
     _done.append(main())
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # all is written: Ctrl-C may end the rest
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     sys.exit(_done[0])
+
+
+def _unraisable(ignored: Any) -> None:
+    """Interrupt again where Python has to ignore it, since it fell into the callback of a weak reference."""
+    if ignored.exc_type is KeyboardInterrupt:
+        threading.Timer(0.05, interrupt_main).start()  # s: here it would be ignored as well
+    else:
+        sys.__unraisablehook__(ignored)
 
 
 def _leave(*_: object) -> NoReturn:

@@ -219,3 +219,23 @@ def test_at_whatever_time_a_run_is_stopped_it_is_resumed_to_the_same_plan_and_pr
     assert {name for name in whole(tmp_path / "o") if not name.startswith(".")} == whole(tmp_path / "whole")
     for name in ("plan.npz", "proof.json"):
         assert (tmp_path / "o" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_an_interruption_that_falls_into_a_callback_comes_again_behind_it():
+    """Python prints and drops what a weak reference's callback raises, Ctrl-C too."""
+    text = (
+        "import sys, time, weakref\n"
+        "from planner.__main__ import _unraisable\n"
+        "sys.unraisablehook = _unraisable\n"
+        "def interrupt(_): raise KeyboardInterrupt\n"
+        "class Thing: pass\n"
+        "thing = Thing()\n"
+        "reference = weakref.ref(thing, interrupt)\n"
+        "try:\n"
+        "    del thing\n"
+        "    time.sleep(10)\n"
+        "except KeyboardInterrupt:\n"
+        "    print('again')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.stdout, done.stderr) == ("again\n", "")

@@ -208,11 +208,11 @@ def test_what_it_does_not_take():
 
 def test_leads_choose_its_steps():
     by_lead = FastestMode(350.0, "foot", 350.0, lead=0.01)
-    assert [leaps_of(by_lead, dt) for dt in (0.003, 0.0031, 0.01)] == [1, 2, 4]  # each at most 0.3 of the lead
+    assert [leaps_of(by_lead, dt) for dt in (0.002, 0.0021, 0.01)] == [1, 2, 5]  # each at most 0.2 of the lead
     with pytest.raises(PlannerError, match="16 are the most"):
         leaps_of(by_lead, 1.0)
-    # What swings nearly as fast as the lead asks for: 340 per s 2 ms are 0.7, as of RK4.
-    assert [leaps_of(by_lead._replace(own_rate=rate), 0.01) for rate in (100.0, 280.0, 340.0)] == [4, 4, 5]
+    # What swings faster than the lead asks for: 350 per s 2 ms are 0.7, as of RK4.
+    assert [leaps_of(by_lead._replace(own_rate=rate), 0.01) for rate in (100.0, 350.0, 400.0)] == [5, 5, 6]
     no_lead = FastestMode(400.0, "hinge", 400.0, own_rate=400.0)
     assert leaps_of(no_lead, 0.01) == substeps_of(no_lead, 0.01)
 
