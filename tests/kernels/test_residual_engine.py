@@ -65,7 +65,8 @@ def some_cost(rng, dynamics, N, kind):
         return CenterOfMassCost(dynamics, target, position_weight=weight, final_position_weight=final)
     if kind == "slip":  # of a sphere on some link, over a plane, under it or within the clearance
         plane = Plane(rng.normal(size=3), rng.normal())
-        sphere = Contact(int(rng.integers(m.nv)), 0.1 * rng.normal(size=3), 0.05, plane, ContactLaw(1.0))
+        link = rng.choice([links.stop - 1 for links in m.joint_links])  # of a body, not within a joint of several
+        sphere = Contact(int(link), 0.1 * rng.normal(size=3), 0.05, plane, ContactLaw(1.0))
         return SlipCost(dynamics, 1.0 + rng.random(), [sphere], clearance=1.0)
     frame = rng.choice([*m.sites, *m.body_names])
     return FrameCost(dynamics, str(frame), **{kind: target, f"{kind}_weight": weight, f"final_{kind}_weight": final})
