@@ -121,7 +121,7 @@ def loses_balance(proof: Proof) -> bool:
         return False
     if any(one.name == "position_range_violation" for one in proof.refined_feedback.failures):
         return False
-    if proof.refined_feedback.passed and _error_share(proof) <= 1.0:  # it stands in MuJoCo as in the plan
+    if proof.refined_feedback.passed:  # it stands in MuJoCo as in the plan
         return False
     return _growth_rate(proof) * proof.replay.plan.t[-1] > MAX_ERROR_GROWTH
 

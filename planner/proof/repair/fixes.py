@@ -56,8 +56,6 @@ class FixTrials:
 
     def run(self, found: tuple[SuggestedFix, ...]) -> tuple[Refined | None, tuple[SuggestedFix, ...]]:
         """The plan and proof that passed with a fix applied, or None; and the updated fixes, failed ones last."""
-        if any(one.value is None and one.key != "optimal" for one in found):
-            return None, found  # the task itself is at fault
         failed: list[tuple[SuggestedFix, SuggestedFix]] = []  # with what was tried for each last
         for one in sorted(found, key=lambda one: not is_automatic(one.key)):
             if one.key in NOT_TRIED or one.value is None:
@@ -67,9 +65,9 @@ class FixTrials:
                 break
             try:
                 last, better = self._first_passing(one)
-            except _OutOfWorkError:
+            except _OutOfWorkError:  # a cheaper one may still be tried
                 self.report(FixTrial(one, "not tried"))
-                break
+                continue
             if better is None:
                 failed.append((one, last))
             elif is_automatic(one.key):
