@@ -78,7 +78,7 @@ def test_what_was_tried_last_is_said_to_fail(monkeypatch):
 @pytest.mark.parametrize("key", ["optimal", "goal"])
 def test_a_finding_without_a_value_does_not_keep_the_fixes_before_it_from_being_tried(key):
     passed = SimpleNamespace(passed=True)
-    log, asked = trials([passed])
+    _, asked = trials([passed])
     asked.budget.before_proof = lambda _: SimpleNamespace(exhausted=False)
     found = (SuggestedFix("", key="duration", value=2.0), SuggestedFix("", key=key))
     assert [one.tried for one in asked.run(found)[1]] == ["passes", ""]
