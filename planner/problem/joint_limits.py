@@ -278,6 +278,32 @@ def _outside(mechanism: Mechanism, ranges: Mapping[int, Range], x: np.ndarray) -
     return float(sum(max(one.model_lower - value, value - one.model_upper, 0.0) for value, one in values))
 
 
+def unlimited_joints(mechanism: Mechanism, position: Any) -> set[str]:
+    """Names of joints that no range or stop of the model limits, by the positions of a Limits."""
+    if position is None or is_word(position, OFF):
+        return set(mechanism.joint_names)
+    table = position if isinstance(position, Mapping) else {}
+    return {joint for joint, value in table.items() if is_word(value, OFF)}
+
+
+def stop_ranges(mechanism: Mechanism, unlimited: Collection[str]) -> dict[int, Range]:
+    """Ranges of joints by degree of freedom from end to end of stops with a lead.
+
+    Args:
+        mechanism: The machine.
+        unlimited: Names of joints whose range the user turned off; they have none.
+    """
+    ends = dict[int, list[float]]()
+    for stop in mechanism.stops:
+        if stop.law.lead > 0.0 and mechanism.joint_names[_joint_index(mechanism, stop.dof)] not in unlimited:
+            ends.setdefault(stop.dof, []).append(stop.end)
+    found = {}
+    for i, both in sorted(ends.items()):
+        give = YIELDS * (max(both) - min(both))
+        found[i] = Range(min(both) - give, max(both) + give, min(both), max(both), of_model=True)
+    return found
+
+
 def check_stops(mechanism: Mechanism, what: str, values: np.ndarray, unlimited: Collection[str]) -> None:
     """Refuse a start or goal `what` (nv,) beyond stops with a lead by more than YIELDS of the file's range.
 
@@ -290,15 +316,10 @@ def check_stops(mechanism: Mechanism, what: str, values: np.ndarray, unlimited: 
     Raises:
         PlannerError: A joint is there.
     """
-    coordinates, ends = coordinates_of_mechanism(mechanism), dict[int, list[float]]()
-    for stop in mechanism.stops:
-        if stop.law.lead > 0.0:
-            ends.setdefault(stop.dof, []).append(stop.end)
-    for i, both in sorted(ends.items()):
-        low, high, name = min(both), max(both), mechanism.joint_names[_joint_index(mechanism, i)]
-        value, give = float(values[i]), YIELDS * (high - low)
-        if not low - give <= value <= high + give and name not in unlimited:
-            Range(low, high, low, high, of_model=True).with_state(what, coordinates[i], value)
+    coordinates = coordinates_of_mechanism(mechanism)
+    for i, one in stop_ranges(mechanism, unlimited).items():
+        if not one.low <= values[i] <= one.high:
+            one.with_state(what, coordinates[i], float(values[i]))
 
 
 def _joint_index(mechanism: Mechanism, dof: int) -> int:

@@ -53,7 +53,9 @@ from planner.problem.joint_limits import (
     pairs_of_coordinates,
     sides_of,
     spread,
+    stop_ranges,
     table_of,
+    unlimited_joints,
     with_names,
 )
 
@@ -202,12 +204,12 @@ class Limits:
         return tuple(found)
 
     def position_ranges(self, dynamics: Dynamics) -> np.ndarray:
-        """Lower and upper ends (nv, 2) of the ranges of a mechanism's joints, infinite where there are none.
-
-        Raises:
-            PlannerError: As for the class.
-        """
-        return self._ends(dynamics, "position")
+        """Ends (nv, 2) of ranges of a mechanism's joints and stops, infinite without; PlannerError as for the class."""
+        mechanism = with_names(capabilities_of(dynamics).mechanism, "position")
+        found = self._ends(dynamics, "position")
+        for i, one in stop_ranges(mechanism, unlimited_joints(mechanism, self.position)).items():
+            found[i] = max(found[i, 0], one.low), min(found[i, 1], one.high)
+        return found
 
     def velocity_ranges(self, dynamics: Dynamics) -> np.ndarray:
         """The same of the joints' velocities."""
@@ -243,9 +245,8 @@ class Limits:
         exact[at_end] = True
         largest = _final_weights(cost) if ends else None
         weighed = np.zeros(space.ndx, dtype=bool) if largest is None else largest > 0.0
-        if mechanism is not None and not (self.position is None or is_word(self.position, OFF)):
-            table = self.position if isinstance(self.position, Mapping) else {}
-            off = {joint for joint, value in table.items() if is_word(value, OFF)}
+        if mechanism is not None:
+            off = unlimited_joints(mechanism, self.position)
             check_stops(mechanism, "start", start, off)
             check_stops(mechanism, "goal", np.where(exact | weighed, offset[-1], start), off)
         if not found and not at_end:
