@@ -282,7 +282,7 @@ SPRING_LEG = """
     <body pos="0 0 -0.3"><joint name="spring" type="slide" axis="0 0 1" range="-0.02 0.06" stiffness="3000"/>
       <geom type="sphere" size="0.03" mass="0.2"/>
     </body>
-  </body></worldbody></mujoco>
+  </body></worldbody><actuator><motor joint="lift"/></actuator></mujoco>
 """
 
 
