@@ -17,7 +17,7 @@ from planner.cli.solving import asked_problem, name_of, show_plan, solved
 from planner.control.controller import Controller
 from planner.control.judging import CallTimes, LoopVerdict, judge
 from planner.control.loop_margins import fitting_rate, margins, measured_calls
-from planner.control.simulating import simulate
+from planner.control.simulating import duration_of_run, simulate
 from planner.control.window_parts import horizon_and_rate
 from planner.problem.default_appearance import appearance_of
 from planner.problem.goals import goals_of
@@ -47,7 +47,9 @@ def drive(arguments: argparse.Namespace, console: Console) -> int:
         raise PlannerError("the problem has no MuJoCo model to be driven in.")
     compiled = CompiledTwin(problem.twin)
     named = [*pushes, *([] if arguments.robustness_map is None else [Push(arguments.robustness_map, 1.0, 0.0)])]
-    pushed_step(compiled.model, named)  # refuses a body that there is not, before any work
+    # refuses a body that there is not, or a time after the run, before any work; a solve may change a free duration
+    free = arguments.seconds is None and problem.objective is not None and problem.objective.weights.get("time")
+    pushed_step(compiled.model, named, until=math.inf if free else duration_of_run(problem, arguments.seconds))
     given: dict[str, Any] = {"iterations": arguments.iterations}
     if arguments.stages is not None:
         given["horizon"] = arguments.stages

@@ -82,6 +82,11 @@ class ClosedLoopRun(Replay):
         return "loop"
 
 
+def duration_of_run(problem: Problem, duration: float | None = None) -> float:
+    """The length of a run, s: as given, or by default that of the problem plus LATE and STAYS."""
+    return problem.duration + LATE + STAYS if duration is None else number("duration", duration, greater_than=0.0)
+
+
 def simulate(
     controller: Controller | Plan, *, duration: float | None = None, latency: float | None = None,
     pushes: Push | Sequence[Push] = (), mass: Mass = 0.0, friction: float = 0.0,
@@ -122,7 +127,7 @@ def simulate(
         raise PlannerError("the problem has no MuJoCo model to be simulated in, expected a Problem with a twin.")
     compiled = compiled or CompiledTwin(problem.twin)
     dt = problem.dynamics.dt
-    duration = problem.duration + LATE + STAYS if duration is None else number("duration", duration, greater_than=0.0)
+    duration = duration_of_run(problem, duration)
     latency = None if latency is None else number("latency", latency, minimum=0.0)
     if asked.threaded:
         if latency not in (None, asked.latency):
@@ -150,7 +155,7 @@ def simulate(
         compiled, asked.plan, compiled.stepping(dt / n, integrator), mass, friction, contact_friction
     )
     base = None if damping is None else implicit_step(model, dt / n, damping, PARTS)
-    step, recorder = pushed_step(model, pushes, base), ContactRecorder(model, M)
+    step, recorder = pushed_step(model, pushes, base, stages * dt), ContactRecorder(model, M)
     x0 = problem.x0 if start is None else asked.plan.xs[0]
     asking = _Asking(asked, compiled, dt / n, held, latency, noise, seed, goal, tick.period if encoders else None)
     ctrl = np.zeros((M, model.nu))

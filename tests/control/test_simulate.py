@@ -73,6 +73,8 @@ def test_a_push_is_a_force_at_the_body_for_its_time(problem):
     np.testing.assert_array_equal(acting[10], [1.0, 2.0, 3.0])
     assert len(seen) == 20
     assert pushed_step(model, []) is None
+    with pytest.raises(PlannerError, match=r"begins at 0.5 s, and the run ends at 0.5 s"):
+        pushed_step(model, [Push("forearm", 1.0, 0.5)], until=0.5)
 
 
 def test_errors_change_the_motion_and_seeds_the_noise(controller):

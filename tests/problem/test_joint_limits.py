@@ -279,10 +279,12 @@ def test_the_hint_about_degrees_is_for_the_leaders_unit(tmp_path):
 SPRING_LEG = """
 <mujoco><worldbody><geom type="plane" size="5 5 0.1"/>
   <body pos="0 0 0.5"><joint name="lift" type="slide" axis="0 0 1"/><geom type="sphere" size="0.05" mass="3"/>
-    <body pos="0 0 -0.3"><joint name="spring" type="slide" axis="0 0 1" range="-0.02 0.06" stiffness="3000"/>
-      <geom type="sphere" size="0.03" mass="0.2"/>
+    <body pos="0 0 -0.2"><joint name="leg" type="slide" axis="0 0 1"/><geom size="0.03" mass="0.3" contype="0"/>
+      <body pos="0 0 -0.1"><joint name="spring" type="slide" axis="0 0 1" range="-0.02 0.06" stiffness="3000"/>
+        <geom type="sphere" size="0.03" mass="0.2"/>
+      </body>
     </body>
-  </body></worldbody><actuator><motor joint="lift"/></actuator></mujoco>
+  </body></worldbody><actuator><motor joint="leg"/></actuator></mujoco>
 """
 
 
@@ -293,7 +295,7 @@ def test_poses_are_sought_between_stops_that_the_machine_models():
     """
     machine = planner.Mechanism.from_mjcf(SPRING_LEG, contacts="ground")
     dynamics = planner.RigidBodyDynamics(machine, 0.01)
-    assert [stop.dof for stop in machine.stops] == [1, 1]
+    assert [stop.dof for stop in machine.stops] == [2, 2]
     ends = planner.Limits(position="model").position_ranges(dynamics)
-    np.testing.assert_allclose(ends, [[-np.inf, np.inf], [-0.028, 0.068]])
+    np.testing.assert_allclose(ends, [[-np.inf, np.inf], [-np.inf, np.inf], [-0.028, 0.068]])
     assert np.isinf(planner.Limits(position={"spring": "off"}).position_ranges(dynamics)).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -73,19 +74,26 @@ def bodies_of(model: Any) -> list[str]:
     return [model.body(i).name for i in range(1, model.nbody) if model.body_weldid[i] and model.body(i).name]
 
 
-def pushed_step(model: Any, pushes: Sequence[Push], step: Step | None = None) -> Step | None:
+def pushed_step(
+    model: Any, pushes: Sequence[Push], step: Step | None = None, until: float = math.inf
+) -> Step | None:  # fmt: skip
     """A step function for MuJoCo's data with pushes applied; `step` itself where there are none.
 
     A push acts over the whole steps that begin within it.
 
     Raises:
-        PlannerError: A body that the model does not have.
+        PlannerError: A body that the model does not have, or a push that begins when the run has ended, `until` s.
     """
     known = bodies_of(model)
     for push in pushes:
         if push.body not in known:
             raise PlannerError(
                 f"there is no body {push.body!r} to push, expected one of: {', '.join(known) or 'none has a name'}."
+            )
+        if push.time >= until:
+            raise PlannerError(
+                f"the push of {push.body!r} begins at {push.time:g} s, and the run ends at {until:g} s: expected an "
+                "earlier time, or a longer run."
             )
     if not pushes:
         return step
