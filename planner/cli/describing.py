@@ -62,7 +62,7 @@ def _picture(arguments: argparse.Namespace, known: Description) -> tuple[Path | 
     mechanism = known.loaded.mechanism
     if mechanism is None:
         return None, "the model is refused"
-    folder = Path(arguments.out or f"renders/{Path(arguments.model).stem}")
+    folder = Path(arguments.out or f"renders/{Path(arguments.write or arguments.model).stem}")
     poses = dict(list(known.poses.items())[:_POSES])
     columns = min(4, len(poses))
     rows = -(-len(poses) // columns)

@@ -152,6 +152,8 @@ def _unjudged(run: Replay, problem: Problem) -> str:
         return "friction loss is cut off: the motion is not smooth"
     if machine.mechanism is not None and any(slack_tendons(machine.mechanism)):
         return "the spring of a tendon goes slack: the motion is not smooth"
+    if machine.mechanism is not None and machine.mechanism.drags:
+        return "drag is as the square of a speed, whose second derivative jumps where the motion turns"
     stopped = machine.mechanism is not None and reaches_stops(machine.mechanism, run.xs)
     return "a range is reached: the motion is not smooth" if run.reached or stopped else ""
 

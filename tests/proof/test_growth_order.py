@@ -119,17 +119,22 @@ def test_semi_implicit_euler_is_of_first_order():
     assert proof.convergence.observed == pytest.approx(1.0, abs=0.3)
 
 
-def test_an_order_that_is_not_judged_is_that_of_the_replays():
-    """Friction loss shows no order, so that MuJoCo's RK4 is halved in place of the plan's Euler."""
+@pytest.mark.parametrize(
+    ("option", "loss", "why"),
+    [("", 'frictionloss="0.1"', "friction loss"), ('<option density="1.2" viscosity="1e-5"/>', "", "drag")],
+    ids=["friction", "drag"],
+)
+def test_an_order_that_is_not_judged_is_that_of_the_replays(option, loss, why):
+    """Friction loss and drag show no order, so that MuJoCo's RK4 is halved in place of the plan's Euler."""
     text = (
-        '<mujoco><worldbody><body><joint name="a" axis="0 1 0" frictionloss="0.1" damping="0.1"/>'
+        f'<mujoco>{option}<worldbody><body><joint name="a" axis="0 1 0" {loss} damping="0.1"/>'
         '<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1"/></body></worldbody>'
         '<actuator><motor joint="a"/></actuator></mujoco>'
     )
     dynamics = planner.RigidBodyDynamics(planner.Mechanism.from_mjcf(text), 0.005, "semi-implicit-euler")
     cost = planner.TrackingCost.joints(dynamics, [0.2, 0.0], 100, effort=0.01, final_position=100.0, final_velocity=1.0)
     convergence = proof_of(Problem(dynamics, cost, [0.0, 0.0])).convergence
-    assert convergence.judged.startswith("friction loss")
+    assert convergence.judged.startswith(why)
     assert convergence.nominal == 4.0
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import toml_key
+from planner.base.arguments import first_of, toml_key
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import PathLike, write_atomically
 from planner.cases.problem_file.build import loaded
@@ -50,6 +50,16 @@ def write_first_problem(path: PathLike, model: PathLike, file: ModelFile, known:
     return path
 
 
+def _no_goal(mechanism: Mechanism, known: Description) -> str:
+    """Why no joint gets a goal: none is driven, or none may go anywhere; with the first thing that looks wrong."""
+    driven = [known.joints[j]["label"] for j in actuated_joints(mechanism)]
+    if not driven:
+        return "no hinge or slide is driven, expected one: no goal can be proposed."
+    also = f" What looks wrong: {known.troubles[0].problem}; write {known.troubles[0].fix}." if known.troubles else ""
+    where = f"for {first_of(driven, 3)} within ranges and without overlaps"
+    return f"no goal can be proposed {where}: expected a problem file of your own.{also}"
+
+
 def starter_text(model: str, name: str, file: ModelFile, known: Description) -> str:
     """The text of a problem file `name` for a model, named as seen from that file.
 
@@ -61,7 +71,7 @@ def starter_text(model: str, name: str, file: ModelFile, known: Description) -> 
         raise PlannerError(f"there is nothing to write: {known.loaded.refusal}")
     move = example_task(file.survey.model, mechanism, known.joints)
     if not move.goal:
-        raise PlannerError("no hinge or slide is driven, expected one: no goal can be proposed.")
+        raise PlannerError(_no_goal(mechanism, known))
     named = all(joint["name"] for joint in known.joints if joint["unit"])
     lines = [f"# planner run {name}", "", *_line("model", json.dumps(Path(model).as_posix()), KEYS["model"])]
     lines += _keys(known, Path(name).parent)
