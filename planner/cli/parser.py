@@ -124,7 +124,7 @@ def _model(parser: argparse.ArgumentParser) -> None:
         {"model": {"metavar": "FILE", "help": "An MJCF or URDF file."},
          "--write": value_flag("FILE", "Also write a problem file to start from, which runs as it is."),
          "--package-path": value_flag("DIR", "Folder of the packages that a URDF names."),
-         "--out": value_flag("DIR", "Folder of the picture of its keyframes. Default: renders/MODEL, with --write that of the problem."),
+         "--out": value_flag("DIR", "Folder of the picture of its keyframes. Default: renders/MODEL or /TOML."),
          "--no-picture": boolean_flag("Draw no picture (drawing needs OpenGL).")},
         COMMON,
     )  # fmt: skip

@@ -16,6 +16,7 @@ from planner.base.files import PathLike, write_atomically
 from planner.cases.problem_file.build import loaded
 from planner.cases.problem_file.keys import KEYS
 from planner.cases.problem_file.step import AUTO
+from planner.model.mechanism import Mechanism
 from planner.model.mjcf.model_file import ModelFile
 from planner.problem.description import Description
 from planner.problem.example_task import ExampleTask, actuated_joints, example_task
