@@ -12,7 +12,7 @@ from planner.proof.diagnostics.avoid_contact import avoid_contact, no_way_around
 from planner.proof.diagnostics.balance import falling, gait_needed, jump_not_found, standing_goal
 from planner.proof.diagnostics.cycles import cycle_not_found, failing_cycle
 from planner.proof.diagnostics.effort import longer, more_time, passing_duration, too_little_thrust
-from planner.proof.diagnostics.goals import larger_weights, not_moved, untouched, without_ignored
+from planner.proof.diagnostics.goals import larger_weights, not_moved, stance_missed, untouched, without_ignored
 from planner.proof.diagnostics.limits import fixed_joints, wider_margin, within_limits
 from planner.proof.diagnostics.soft_equalities import soft_equalities
 from planner.proof.diagnostics.solving import (
@@ -33,7 +33,7 @@ __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 _CAUSES = (
     other_model, too_little_thrust, standing_goal, gait_needed, first_guess, jump_not_found, no_way_around,
     avoid_contact, fixed_joints, untouched, not_moved, more_time, passing_duration, penalize_velocity, within_limits,
-    without_ignored, more_iterations, shorter_stage, clamped_between, wider_margin, larger_weights,
+    without_ignored, more_iterations, shorter_stage, clamped_between, wider_margin, larger_weights, stance_missed,
     other_guesses, falling, contacts_differ, not_a_minimum,
     soft_equalities,
 )  # fmt: skip
