@@ -41,12 +41,14 @@ import numpy as np
 from planner.base.arguments import LONGEST_HORIZON, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.joint_forces import force_derivatives_at, forces_at
+from planner.kernels.lq.workspace import Workspace
 from planner.model.coordinates import Coordinate
 from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, heavy_joints, prescribed_dofs, with_force_inputs
+from planner.model.space import StateSpace
 from planner.problem.costs.jerk import Accelerations
+from planner.problem.costs.residual_arrays import ResidualArrays, ResidualList
 from planner.problem.costs.terms import GoalSpec, Quadratic, Term
-from planner.problem.costs.tracking import one_each
+from planner.problem.costs.tracking import NoTracking, one_each
 
 SMOOTHING = 1.0
 """Smoothing s, W, where no motion says how much power a machine takes: an arm of some kg needs some tens of W."""
@@ -87,10 +89,21 @@ class EnergyCost(Term):
         self.smoothing = number("the energy's smoothing", smoothing, greater_than=0.0)
         self.space, self.nx, self.ndx, self.nu = dynamics.space, dynamics.nx, dynamics.ndx, dynamics.nu
 
+    def residual_arrays_for(self, N: int) -> ResidualArrays:
+        """What the kernels of solves of N stages read."""
+        return replace(ResidualList(N).arrays(), work=np.array([[self.weight, self.smoothing, self.dt]]))
+
+    def augmented(self, own: StateSpace, space: StateSpace) -> EnergyCost:
+        """The same cost on a state with appended components."""
+        cost = copy(self)
+        cost.space, cost.nx, cost.ndx = space, space.nx, space.ndx
+        return cost
+
     def power(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N, nu) W, the mean power of each actuator over each stage of xs (N+1, nx), us (N, nu)."""
-        force, way, _ = self._parts(xs, us)
-        return force * way / self.dt
+        w, memory, found = *self._workspace(xs, us), np.empty((len(us), self.nu))
+        self.dynamics.works_nominal(w, memory, found)
+        return found / self.dt
 
     def work(self, xs: np.ndarray, us: np.ndarray) -> float:
         """The work in J, neither weighted nor smoothed: |p_j| summed over actuators and, times dt, over stages."""
@@ -108,48 +121,31 @@ class EnergyCost(Term):
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
         """Exact gradients along any xs (N+1, nx), us (N, nu); the approximate Hessian of the module."""
-        N, (by_x, by_end, by_u) = len(us), self._derivatives(xs, us)
-        p = self.power(xs, us)
-        curvature = self.weight * self.dt / np.sqrt(p * p + self.smoothing**2)  # e'(p)/p
-        q = np.zeros((N + 1, self.ndx))
-        q[:N] = np.einsum("nji,nj->ni", by_x, curvature * p)
-        q[1:] += np.einsum("nji,nj->ni", by_end, curvature * p)
-        r = np.einsum("njk,nj->nk", by_u, curvature * p)
-        A, B = self.dynamics.linearize(xs, us)
-        by_x, by_u = by_x + by_end @ A, by_u + by_end @ B
-        Q = np.zeros((N + 1, self.ndx, self.ndx))
-        Q[:N] = np.swapaxes(by_x, 1, 2) @ (curvature[:, :, None] * by_x)
-        weighted = np.swapaxes(curvature[:, :, None] * by_u, 1, 2)
-        return Quadratic(Q, q, weighted @ by_u, r, weighted @ by_x)
+        w, memory = self._workspace(xs, us)
+        self.dynamics.stage_ends(w, memory)
+        self.dynamics.linearize_nominal(w, memory)
+        self.dynamics.quadratize_nominal(w, memory)
+        own, nu, x = self.dynamics.ndx, self.nu, slice(w.first, w.first + self.dynamics.ndx)
+        Q, q = np.zeros((len(xs), self.ndx, self.ndx)), np.zeros((len(xs), self.ndx))
+        S = np.zeros((len(us), nu, self.ndx))
+        by_u, by_x, q[:, :own] = w.rows[:, :, :nu], w.rows[:, :, x], w.l[:, x]
+        Q[:-1, :own, :own], S[:, :, :own] = by_x.mT @ by_x, by_u.mT @ by_x
+        return Quadratic(Q, q, by_u.mT @ by_u, w.l[:-1, :nu].copy(), S)
 
     def goal_specs(self, _: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
         """No goals: the end of the last stage is where its work ends, and nothing is asked of it."""
         return ()
 
-    def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean forces f (N, nu), displacements d (N, nu), and deviations (N, ndx) from one knot to the next."""
-        move = self.space.difference(xs[1:], xs[:-1])
-        force = 0.5 * forces_at(self.mechanism, *_both_ends(xs, us)).reshape(2, *us.shape).sum(axis=0)
-        return force, move[:, : self.mechanism.nv] @ self.mechanism.actuators.moment.T, move
-
-    def _derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives of the power by both ends (N, nu, ndx) of each stage, and by its controls (N, nu, nu)."""
-        acts, nv = self.mechanism.actuators, self.mechanism.nv
-        force, way, move = self._parts(xs, us)
-        along = np.zeros((len(acts.moment), self.ndx))
-        along[:, :nv] = acts.moment
-        by_end = force[:, :, None] * (along @ self.space.difference_jacobian(move))
-        by_x = -force[:, :, None] * (along @ self.space.difference_jacobian(-move))
-        of_x, of_u = force_derivatives_at(self.mechanism, *_both_ends(xs, us))
-        by_x += 0.5 * way[:, :, None] * of_x[: len(us)]
-        by_end += 0.5 * way[:, :, None] * of_x[len(us) :]
-        by_u = 0.5 * (way * (of_u[: len(us)] + of_u[len(us) :]))[:, :, None] * np.eye(self.nu)
-        return by_x / self.dt, by_end / self.dt, by_u / self.dt
-
-
-def _both_ends(xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """States (2N, nx) at the start of each stage, then at its end, and their controls (2N, nu)."""
-    return np.concatenate([xs[:-1], xs[1:]]), np.concatenate([us, us])
+    def _workspace(self, xs: np.ndarray, us: np.ndarray) -> tuple[Workspace, Any]:
+        """What kernels read of a trajectory, and their scratch memory."""
+        N, dynamics = len(us), self.dynamics
+        w, memory = (
+            Workspace(NoTracking(N, dynamics.space, self.nu), dynamics.space, dynamics.structured),
+            dynamics.memory(N),
+        )
+        w.xs[:], w.us[:] = xs[:, : dynamics.nx], us
+        w.use_residuals(dynamics.residuals(self.residual_arrays_for(N)))
+        return w, memory
 
 
 class DriveCost(Term):

@@ -16,11 +16,10 @@ from planner.kernels.lq.riccati import direction, riccati_dense, riccati_structu
 from planner.kernels.lq.second_order import costates
 from planner.kernels.lq.workspace import W, Workspace
 from planner.kernels.precompile import compile_together
-from planner.model.space import StateSpace, space_of
+from planner.model.space import space_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.costs.residual_arrays import ResidualArrays
-from planner.problem.costs.tracking import TrackingCost
-from planner.problem.limits import origin_of
+from planner.problem.costs.tracking import NoTracking, TrackingCost
 from planner.problem.problem import Problem
 from planner.solvers.engine.protocol import (
     MAX_SETS,
@@ -42,14 +41,6 @@ _READ_ONLY = {
     "lower", "upper", "range_lower", "range_upper", "penalty_dx", "servo_control", "servo_start", "servo_x", "servo_dx",
     "servo_at_start", "servo_at_end", "servo_low", "servo_high",
 }  # fmt: skip
-
-
-class NoTracking:
-    """A TrackingCost of weight zero."""
-
-    def __init__(self, N: int, space: StateSpace, nu: int) -> None:
-        self.Q, self.R = np.zeros((N + 1, space.ndx, space.ndx)), np.zeros((N, nu, nu))
-        self.x_ref, self.u_ref = np.tile(origin_of(space), (N + 1, 1)), np.zeros((N, nu))
 
 
 class CompiledEngine(Engine):
@@ -78,7 +69,7 @@ class CompiledEngine(Engine):
         if self._with_residuals is not None:
             self._w.use_residuals(self._with_residuals.residuals(residuals))
         self.residuals = self._w.residuals
-        self._control_weight = float(np.abs(cost.R).max()) or 1.0
+        self._R, self._control_weight = cost.R, float(np.abs(cost.R).max()) or 1.0
         self._state_weights = state_weights(cost.Q, self._control_weight)
         columns = self._w.first + np.arange(self._w.ndx)
         self._diagonals = slice(1, -1), columns, columns  # of the state blocks of T, without the first and last knot
@@ -114,6 +105,7 @@ class CompiledEngine(Engine):
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Set the rollout of the first guess us (N, nu), clipped to bounds; its cost."""
         self._exact, self._second_order_used, self.state_regularization = exact, exact, 0.0
+        self._weighs_more = self._w.rows.size > 0
         if exact and self._second is None:
             self._second = self._dynamics.second_order_memory()
         self._w.use_second_order(exact)
@@ -242,6 +234,10 @@ class CompiledEngine(Engine):
         gradients(w.table)
         if self._with_residuals is not None:
             self._with_residuals.quadratize_nominal(w, self._memory)
+        if self._weighs_more:  # of what the first trajectory weighs, as in NumPy
+            by_u = w.rows[:, :, : w.us.shape[1]]
+            self.largest_control_weight = float(np.abs(self._R + by_u.mT @ by_u).max()) or 1.0
+            self._weighs_more = False
         self._quadratize_own()
         if second:
             costates(w.table, dynamics.dt)
