@@ -139,13 +139,10 @@ class EnergyCost(Term):
     def _workspace(self, xs: np.ndarray, us: np.ndarray) -> tuple[Workspace, Any]:
         """What kernels read of a trajectory, and their scratch memory."""
         N, dynamics = len(us), self.dynamics
-        w, memory = (
-            Workspace(NoTracking(N, dynamics.space, self.nu), dynamics.space, dynamics.structured),
-            dynamics.memory(N),
-        )
+        w = Workspace(NoTracking(N, dynamics.space, self.nu), dynamics.space, dynamics.structured)
         w.xs[:], w.us[:] = xs[:, : dynamics.nx], us
         w.use_residuals(dynamics.residuals(self.residual_arrays_for(N)))
-        return w, memory
+        return w, dynamics.memory(N)
 
 
 class DriveCost(Term):

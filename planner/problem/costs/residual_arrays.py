@@ -49,7 +49,7 @@ class ResidualArrays:
     ramp: np.ndarray  # (M,) a
     bound: np.ndarray  # (M, N+1) b, 0 where a row is off
     weight: np.ndarray  # (M, N+1) w, 0 where a row is off; running weights times dt
-    # (E, 3) of the motors' work: weight per J, smoothing in W, length of a stage in s (kernels.tree.residuals.motor_work)
+    # (E, 3) of the motors' work: weight per J, smoothing in W, length of a stage in s
     work: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
