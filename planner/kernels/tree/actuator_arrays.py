@@ -52,8 +52,9 @@ def actuator_arrays(mechanism: Any, prescribed: np.ndarray, actuated: bool) -> d
 
 
 def motor_arrays(mechanism: Any, ball_v: np.ndarray, nu: int) -> dict[str, np.ndarray]:
-    """Per actuator: its input (of nu controls, then act), its numbers and force law, or -1, and from motor_start on its
-    moment: degree of freedom, factor, and the ball that this is of, or -1. ball_v has the first of each ball.
+    """Per actuator: its input (of nu controls, then act), numbers, force law or -1, and from motor_start on its moment.
+
+    That is by degree of freedom: the factor, and the ball that it is of, or -1; ball_v has the first of each ball.
     """
     a = mechanism.actuators
     row, dof = np.nonzero(a.moment)

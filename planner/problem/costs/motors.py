@@ -50,11 +50,11 @@ from planner.problem.costs.residual_arrays import ResidualArrays, ResidualList
 from planner.problem.costs.terms import GoalSpec, Quadratic, Term
 from planner.problem.costs.tracking import NoTracking, one_each
 
-SMOOTHING = 1.0
-"""Smoothing s, W, where no motion says how much power a machine takes: an arm of some kg needs some tens of W."""
 SMOOTHING_SHARE = 0.02
 """Of the mean power along a motion, s of a plan that starts from it: a minimum then takes at most this share of that
 motion's work above the least nearby; the built-in two-link 0.2 %. Less takes more iterations."""
+TINY = np.finfo(float).tiny  # in place of 0 in a denominator
+WITHOUT_POWER = 1.0  # W, s along a motion that takes no power, or runs away: any other would do as well
 
 
 class EnergyCost(Term):
@@ -66,14 +66,15 @@ class EnergyCost(Term):
     Args:
         dynamics: RigidBodyDynamics without prescribed joints.
         weight: Per J.
-        smoothing: s, W: a power p = s costs 0.41 s, a large power p - s.
+        smoothing: s, W: a power p = s costs 0.41 s, a large power p - s. None for the work itself, as a measure; solves
+            need one (see smoothing_along), which those of an objective find.
 
     Raises:
         PlannerError: Other dynamics, prescribed joints, actuators at sites, a negative weight, or a smoothing that is
-            not above 0.
+            not above 0; and none, where derivatives are asked for.
     """
 
-    def __init__(self, dynamics: Any, weight: float = 1.0, smoothing: float = SMOOTHING) -> None:
+    def __init__(self, dynamics: Any, weight: float = 1.0, smoothing: float | None = None) -> None:
         if not isinstance(dynamics, RigidBodyDynamics):
             expected = "expected RigidBodyDynamics: energy is the work of actuators"
             raise PlannerError(f"the machine is {short_repr(dynamics)}, {expected}.")
@@ -86,12 +87,16 @@ class EnergyCost(Term):
             )
         self.dynamics, self.mechanism, self.dt = dynamics, dynamics.mechanism, dynamics.dt
         self.weight = number("the energy's weight", weight, minimum=0.0)
-        self.smoothing = number("the energy's smoothing", smoothing, greater_than=0.0)
+        self.smoothing = None if smoothing is None else number("the energy's smoothing", smoothing, greater_than=0.0)
         self.space, self.nx, self.ndx, self.nu = dynamics.space, dynamics.nx, dynamics.ndx, dynamics.nu
 
     def residual_arrays_for(self, N: int) -> ResidualArrays:
         """What the kernels of solves of N stages read."""
-        return replace(ResidualList(N).arrays(), work=np.array([[self.weight, self.smoothing, self.dt]]))
+        if self.smoothing is None:
+            raise PlannerError(
+                "the energy has no smoothing, expected one in W, e.g. that of EnergyCost(...).smoothing_along(xs, us)."
+            )
+        return self._arrays(N, self.smoothing)
 
     def augmented(self, own: StateSpace, space: StateSpace) -> EnergyCost:
         """The same cost on a state with appended components."""
@@ -101,7 +106,7 @@ class EnergyCost(Term):
 
     def power(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N, nu) W, the mean power of each actuator over each stage of xs (N+1, nx), us (N, nu)."""
-        w, memory, found = *self._workspace(xs, us), np.empty((len(us), self.nu))
+        w, memory, found = *self._workspace(xs, us, self._arrays(len(us), 0.0)), np.empty((len(us), self.nu))
         self.dynamics.works_nominal(w, memory, found)
         return found / self.dt
 
@@ -112,16 +117,16 @@ class EnergyCost(Term):
     def smoothing_along(self, xs: np.ndarray, us: np.ndarray) -> float:
         """Smoothing for motions like xs (N+1, nx), us (N, nu): SMOOTHING_SHARE of the mean power of an actuator, W."""
         mean = float(np.abs(self.power(xs, us)).mean())
-        return SMOOTHING_SHARE * mean if 0.0 < mean < np.inf else SMOOTHING
+        return SMOOTHING_SHARE * mean if 0.0 < mean < np.inf else WITHOUT_POWER
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
-        p, s = self.power(xs, us), self.smoothing
-        return self.weight * self.dt * float(np.sum(p * p / (np.sqrt(p * p + s * s) + s)))  # without cancellation
+        p, s = self.power(xs, us), self.smoothing or 0.0
+        return self.weight * self.dt * float(np.sum(p * p / np.maximum(np.sqrt(p * p + s * s) + s, TINY)))
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
         """Exact gradients along any xs (N+1, nx), us (N, nu); the approximate Hessian of the module."""
-        w, memory = self._workspace(xs, us)
+        w, memory = self._workspace(xs, us, self.residual_arrays_for(len(us)))
         self.dynamics.stage_ends(w, memory)
         self.dynamics.linearize_nominal(w, memory)
         self.dynamics.quadratize_nominal(w, memory)
@@ -136,12 +141,15 @@ class EnergyCost(Term):
         """No goals: the end of the last stage is where its work ends, and nothing is asked of it."""
         return ()
 
-    def _workspace(self, xs: np.ndarray, us: np.ndarray) -> tuple[Workspace, Any]:
+    def _arrays(self, N: int, smoothing: float) -> ResidualArrays:
+        return replace(ResidualList(N).arrays(), work=np.array([[self.weight, smoothing, self.dt]]))
+
+    def _workspace(self, xs: np.ndarray, us: np.ndarray, arrays: ResidualArrays) -> tuple[Workspace, Any]:
         """What kernels read of a trajectory, and their scratch memory."""
         N, dynamics = len(us), self.dynamics
         w = Workspace(NoTracking(N, dynamics.space, self.nu), dynamics.space, dynamics.structured)
         w.xs[:], w.us[:] = xs[:, : dynamics.nx], us
-        w.use_residuals(dynamics.residuals(self.residual_arrays_for(N)))
+        w.use_residuals(dynamics.residuals(arrays))
         return w, dynamics.memory(N)
 
 

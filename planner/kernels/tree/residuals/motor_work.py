@@ -5,8 +5,8 @@ A motor's work in a stage is w = f d, its mean force times its displacement d, a
     weight e(w),    e(w) = sqrt(w^2 + (s dt)^2) - s dt.
 
 It depends on both ends of its stage. Along the dynamics' F = (B | A) that is one row of derivatives dw by z = (u | x).
-The gradient is e'(w) dw, exact at any states: what the end gives goes to the next stage's. The Hessian is e'(w)/w dw dw'
-(see problem.costs.motors), which the sweep makes of the rows sqrt(e'(w)/w) dw.
+The gradient is e'(w) dw, exact at any states: what the end gives goes to the next stage's. The Hessian is
+e'(w)/w dw dw' (see problem.costs.motors), which the sweep makes of the rows sqrt(e'(w)/w) dw.
 """
 
 from __future__ import annotations
