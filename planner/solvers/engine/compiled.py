@@ -69,7 +69,7 @@ class CompiledEngine(Engine):
         if self._with_residuals is not None:
             self._w.use_residuals(self._with_residuals.residuals(residuals))
         self.residuals = self._w.residuals
-        self._R, self._control_weight = cost.R, float(np.abs(cost.R).max()) or 1.0
+        self._control_weight = float(np.abs(cost.R).max()) or 1.0
         self._state_weights = state_weights(cost.Q, self._control_weight)
         columns = self._w.first + np.arange(self._w.ndx)
         self._diagonals = slice(1, -1), columns, columns  # of the state blocks of T, without the first and last knot
@@ -105,7 +105,6 @@ class CompiledEngine(Engine):
     def start_from_controls(self, x0: np.ndarray, us: np.ndarray, exact: bool = False) -> float:
         """Set the rollout of the first guess us (N, nu), clipped to bounds; its cost."""
         self._exact, self._second_order_used, self.state_regularization = exact, exact, 0.0
-        self._weighs_more = self._w.rows.size > 0
         if exact and self._second is None:
             self._second = self._dynamics.second_order_memory()
         self._w.use_second_order(exact)
@@ -234,10 +233,6 @@ class CompiledEngine(Engine):
         gradients(w.table)
         if self._with_residuals is not None:
             self._with_residuals.quadratize_nominal(w, self._memory)
-        if self._weighs_more:  # of what the first trajectory weighs, as in NumPy
-            by_u = w.rows[:, :, : w.us.shape[1]]
-            self.largest_control_weight = float(np.abs(self._R + by_u.mT @ by_u).max()) or 1.0
-            self._weighs_more = False
         self._quadratize_own()
         if second:
             costates(w.table, dynamics.dt)
