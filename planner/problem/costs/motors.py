@@ -15,7 +15,7 @@ SLQ needs a quadratic model. The gradient is e'(p) dp, and the Hessian is replac
 
 the curvature of the parabola that has the value and slope of e at p and is an upper bound of e (concave in p^2). dp is
 the power linearized along the dynamics, since it depends on both ends of a stage; force times speed gives a mixed term
-S.
+S. Kernels do all of it (kernels.tree.residuals.motor_work).
 
 DriveCost has squared forces at prescribed joints for the planned accelerations (Cases 2 and 3):
 
@@ -26,7 +26,7 @@ tau_p is the force of motors in place of the prescription. The joints' accelerat
     a_p = a_0(x, u) + G(x) tau_p,     so     tau_p = G^-1 (u_p - a_0),     d tau_p = G^-1 (du_p - d a_p at fixed tau_p)
 
 with G from the exact Jacobian of the machine with motors, by the kernels. The Hessian is Gauss-Newton with its mixed
-term. The cost is computed in NumPy, so a problem with it is solved by the NumPy engine.
+term. DriveCost is computed in NumPy, beside compiled costs.
 """
 
 from __future__ import annotations
