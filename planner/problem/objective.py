@@ -12,7 +12,7 @@ says nothing of the motions of one duration.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -138,6 +138,14 @@ def with_smoothing(problem: Problem, xs: np.ndarray, us: np.ndarray) -> Problem:
     assert problem.objective is not None  # it has energy
     smoothing = EnergyCost(problem.dynamics).smoothing_along(xs, us)
     return with_objective(problem, problem.objective.stored | {"smoothing": smoothing})
+
+
+def smoothed(problem: Problem, solve: Callable[[Problem], Any]) -> Problem:
+    """The problem; if its energy lacks smoothing, with that of its plan of least effort, from which it then starts."""
+    if not lacks_smoothing(problem):
+        return problem
+    usual = solve(without_objective(problem))
+    return replace(with_smoothing(problem, usual.xs, usual.us), us=usual.us)
 
 
 def smoothing_of(problem: Problem | None) -> dict[str, float]:

@@ -184,15 +184,6 @@ def _over_durations(
     return search.best_plan({"durations": list(between), "tolerance": tolerance})
 
 
-def smoothed(problem: Problem, **options: Any) -> Problem:
-    """A problem of energy that lacks smoothing (see objective.with_smoothing), with that of its plan of least effort.
-
-    It starts from that plan. Options are those of solve().
-    """
-    usual = solve(without_objective(problem), **single_start(options))
-    return replace(with_smoothing(problem, usual.xs, usual.us), us=usual.us)
-
-
 def _exact(problem: Problem) -> Problem:
     """The problem with an exact goal: with a weighted one the minimum duration would be zero."""
     if problem.bounds is None:

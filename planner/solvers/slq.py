@@ -37,7 +37,7 @@ from planner.model.space import space_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.goals import has_tolerances
 from planner.problem.initial_guess import Trajectory
-from planner.problem.objective import lacks_smoothing, seeks_duration, solver_problem
+from planner.problem.objective import seeks_duration, smoothed, solver_problem
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import is_unresolved, stage_too_long
@@ -146,10 +146,8 @@ def solve(
         given: dict[str, Any] = {"states": states, "rank": rank, "executor": executor, "budget": work}
         return solve_for(problem, callback=callback, options=own, **given)
 
-    if lacks_smoothing(problem):
-        from planner.solvers.free_time import smoothed  # likewise
-
-        problem = smoothed(problem, options=own, warm_start=warm_start, budget=work)
+    one = with_overrides(own, starts=1)
+    problem = smoothed(problem, partial(solve, options=one, warm_start=warm_start, budget=work))
     settings = own.for_problem(problem)
     asked, deadline = settings.max_iterations, None
     if work is not None:
