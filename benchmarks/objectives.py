@@ -20,7 +20,7 @@ import planner
 from planner.problem.objective import with_objective
 
 FEW, MORE, REPEATS, STAGES = 2, 8, 60, 200
-OBJECTIVES = {"effort": "effort", "energy": {"effort": 1.0, "energy": 0.1}, "jerk": "jerk"}
+OBJECTIVES = {"effort": "effort", "energy": {"effort": 1.0, "energy": 0.1, "smoothing": 1.0}, "jerk": "jerk"}
 
 
 def problem(chain: mechanisms.Chain, integrator: str) -> planner.Problem:
@@ -34,14 +34,15 @@ def problem(chain: mechanisms.Chain, integrator: str) -> planner.Problem:
     return planner.Problem(dynamics, cost, x0=np.zeros(2 * mechanism.nv))
 
 
-def seconds(of: planner.Problem, iterations: int) -> tuple[float, int]:
-    """The least processor time of a solve that is cut after some iterations, and how many it took."""
-    least, taken = np.inf, 0
-    for _ in range(REPEATS):
-        began = time.process_time()
-        taken = planner.solve(of, max_iterations=iterations).nit
-        least = min(least, time.process_time() - began)
-    return least, taken
+def seconds(problems: dict[str, planner.Problem], iterations: int) -> dict[str, tuple[float, int]]:
+    """The least processor time of a solve of each that is cut after some iterations, and how many it took."""
+    found = dict.fromkeys(problems, (np.inf, 0))
+    for _ in range(REPEATS):  # in turn, so that other work on the computer is beside all of them
+        for label, of in problems.items():
+            began = time.process_time()
+            taken = planner.solve(of, max_iterations=iterations).nit
+            found[label] = min(found[label], (time.process_time() - began, taken))
+    return found
 
 
 def main() -> None:
@@ -50,10 +51,10 @@ def main() -> None:
     for name in ("two_rods", "puma", "arm7"):
         for integrator in ("rk4", "semi-implicit-euler"):
             own = problem(getattr(mechanisms, name)(), integrator)
-            effort = 0.0
-            for label, objective in OBJECTIVES.items():
-                of = with_objective(own, objective)
-                (short, n), (long, m) = seconds(of, FEW), seconds(of, MORE)
+            problems = {label: with_objective(own, objective) for label, objective in OBJECTIVES.items()}
+            few, more, effort = seconds(problems, FEW), seconds(problems, MORE), 0.0
+            for label in problems:
+                (short, n), (long, m) = few[label], more[label]
                 if m == n:
                     print(f"{name}, {integrator}, {label}: converged after {n} iterations")
                     continue

@@ -115,8 +115,8 @@ FAULTS = (
     Fault(
         "energy-stage",
         "stage",
-        'q[1:] += np.einsum("nji,nj->ni", by_end',
-        'q[:-1] += np.einsum("nji,nj->ni", by_end',
+        "k = width + first + i",
+        "k = first + i",
         "tests/problem",
     ),
     Fault(

@@ -29,6 +29,8 @@ from planner.problem.problem_parts import Recipe
 from planner.problem.residual import Residual
 from planner.problem.touch_downs import TouchDown
 
+_SMOOTHING = {"smoothing": 1.0}  # W, of the energy in plans that do not say: they were made before it was found
+
 
 def load_plan(
     path: str | Path, *, problem: Problem | None = None, residuals: Mapping[str, type[Residual]] | None = None
@@ -136,7 +138,7 @@ def _problem(
     problem = replace(base_problem(problem), limits=limits)
     if meta["tolerance"] is not None:
         problem = replace(problem, tolerance=meta["tolerance"])
-    return problem if meta["objective"] is None else with_objective(problem, meta["objective"])
+    return problem if meta["objective"] is None else with_objective(problem, _SMOOTHING | meta["objective"])
 
 
 def _fitting(plan: Plan, problem: Problem) -> Problem:

@@ -23,6 +23,7 @@ from planner.kernels.tree import tree_second_order as tree_second
 from planner.kernels.tree.mechanism_table import Model
 from planner.kernels.tree.memory import TreeMemory
 from planner.kernels.tree.residuals.evaluate import quadratize_residuals
+from planner.kernels.tree.residuals.motor_work import works
 from planner.kernels.tree.residuals.table import ResidualTable
 from planner.model.capabilities import Capabilities
 from planner.model.mechanism import Mechanism
@@ -355,6 +356,10 @@ class RigidBodyDynamics:
     def quadratize_nominal(self, w: Workspace, memory: TreeMemory) -> None:
         """Add the residuals' gradients along w.xs to w.l, and store their Hessians for the backward sweep."""
         quadratize_residuals(w.table, self._model.table, memory.table, w.residuals.table, w.residuals.solids)
+
+    def works_nominal(self, w: Workspace, memory: TreeMemory, found: np.ndarray) -> None:
+        """The work of each motor in each stage along w.xs, w.us into found (N, nu), J; w has a cost of work."""
+        works(w.table, self._model.table, memory.table, w.residuals.table, found)
 
     def second_order_nominal(self, w: Workspace, memory: TreeMemory, second: tree_second.SecondOrderMemory) -> None:
         """Fill w.T along w.xs, w.us for w.costates."""

@@ -26,6 +26,7 @@ from planner.kernels.tree import step as tree_step
 from planner.kernels.tree import tree_line_search as tree_search
 from planner.kernels.tree import tree_second_order as tree_second
 from planner.kernels.tree.residuals import evaluate as residuals
+from planner.kernels.tree.residuals import motor_work
 
 if TYPE_CHECKING:
     from planner.kernels.tree.mechanism_table import Model
@@ -54,6 +55,7 @@ KERNELS: dict[str, tuple[Any, tuple[str, ...]]] = {
     ),
     "residuals": (residuals.quadratize_residuals, (_TABLE, _TABLE, _TABLE, _TABLE, "none")),
     "residuals solids": (residuals.quadratize_residuals, (_TABLE, _TABLE, _TABLE, _TABLE, "boolean")),
+    "works": (motor_work.works, (_TABLE, _TABLE, _TABLE, _TABLE, _ROWS)),
     "tree derivatives": (tree_batch.derivatives, (_TABLE, _TABLE, *[_ROWS] * 3, *[_BLOCKS] * 3)),
     "tree forward": (tree_batch.forward, (_TABLE, _TABLE, *[_ROWS] * 5)),
     "tree inverse": (tree_batch.inverse, (_TABLE, _TABLE, *[_ROWS] * 4)),
@@ -97,7 +99,7 @@ _FAMILIES = (
     ("tree structured", "tree structured external", "tree dense", "tree dense external", "tree derivatives"),
     ("hopper search", "hopper linearize"),
     ("tree second order", "costates"),
-    ("residuals", "residuals solids"),
+    ("residuals", "residuals solids", "works"),
     ("hopper second order",),
 )  # fmt: skip
 

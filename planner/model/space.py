@@ -110,6 +110,14 @@ def space_of(dynamics: Any) -> StateSpace:
     return space if isinstance(space, StateSpace) else euclidean(dynamics.nx)
 
 
+def origin_of(space: StateSpace) -> np.ndarray:
+    """(nx,) the state whose deviations are coordinates: zero, without rotation."""
+    origin = np.zeros(space.nx)
+    for i, _ in space.quaternions:
+        origin[i] = 1.0
+    return origin
+
+
 def unit(quaternion: np.ndarray) -> np.ndarray:
     """The quaternion (..., 4), normalized, as MuJoCo does before every use."""
     return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)

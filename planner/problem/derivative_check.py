@@ -16,8 +16,7 @@ from planner.base.errors import PlannerError
 from planner.base.measured import aligned
 from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import controls_of_mechanism, coordinates_of
-from planner.model.space import StateSpace, euclidean, space_of
-from planner.problem.limits import origin_of
+from planner.model.space import StateSpace, euclidean, origin_of, space_of
 from planner.problem.problem import Problem
 
 DERIVATIVE_BOUND = 1e-3

@@ -23,7 +23,7 @@ from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import coordinates_of
 from planner.model.couplings import contradiction
 from planner.model.mechanism import SCREW, Mechanism
-from planner.model.space import StateSpace, space_of
+from planner.model.space import origin_of, space_of
 from planner.problem.constraints.constraint import DEFAULT_TOLERANCE, Constraint
 from planner.problem.constraints.forces import ActuatorForce, JointForce, tendon_constraint, tendon_ranges
 from planner.problem.constraints.trajectory_constraints import StateBounds
@@ -390,11 +390,3 @@ def _final_weights(cost: Cost) -> np.ndarray | None:
     """(ndx,) the largest magnitude of each component's final weights; None for a cost without weights and reference."""
     Q = None if getattr(cost, "x_ref", None) is None else getattr(cost, "Q", None)
     return None if Q is None else np.abs(Q[-1]).max(axis=0)
-
-
-def origin_of(space: StateSpace) -> np.ndarray:
-    """(nx,) the state whose deviations are coordinates: zero, without rotation."""
-    origin = np.zeros(space.nx)
-    for i, _ in space.quaternions:
-        origin[i] = 1.0
-    return origin

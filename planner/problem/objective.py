@@ -12,7 +12,7 @@ says nothing of the motions of one duration.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from planner.base.arguments import number
 from planner.model.capabilities import capabilities_of
 from planner.model.space import StateSpace, space_of
 from planner.problem.costs.jerk import JerkCost, with_acceleration
-from planner.problem.costs.motors import SMOOTHING, EnergyCost
+from planner.problem.costs.motors import EnergyCost
 from planner.problem.costs.terms import Quadratic, SumCost, Term, call_if_supported
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.problem import Problem
@@ -66,8 +66,8 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
         problem: With a TrackingCost, alone or in a sum with DriveCosts, FrameCosts and PenaltyCosts; an objective that
             it has is replaced.
         objective: "effort", "energy", "jerk", "time", or weights by these names, e.g. {"effort": 1, "jerk": 1e-3}; and
-            with energy its "smoothing", W (see EnergyCost), which solve_for takes from the plan of least effort; and
-            with time whether its duration was found by a search (FOUND).
+            with energy its "smoothing", W (see EnergyCost), which solves take from the motion of least effort (see
+            with_smoothing); and with time whether its duration was found by a search (FOUND).
 
     Raises:
         PlannerError: An unknown name or a negative weight; a machine without actuators or joints to speak of.
@@ -81,7 +81,7 @@ def with_objective(problem: Problem, objective: str | Mapping[str, float]) -> Pr
     base, dynamics, effort = problem.cost, problem.dynamics, weights.get("effort", 1.0)
     terms = [base if effort == 1.0 else call_if_supported(base, "with_effort", effort)]
     if "energy" in weights:
-        terms.append(EnergyCost(dynamics, weights["energy"], SMOOTHING if smoothing is None else smoothing))
+        terms.append(EnergyCost(dynamics, weights["energy"], smoothing))
     if "jerk" in weights:
         terms.append(_jerk(problem, weights["jerk"]))
     if "time" in weights:
@@ -123,6 +123,29 @@ def without_objective(problem: Problem) -> Problem:
     if (recipe := problem.recipe) is None or recipe.build is None or recipe.parameters.get("objective") is None:
         return base_problem(problem)
     return recipe.rebuilt(objective=None, durations=None, resolved=None)
+
+
+def lacks_smoothing(problem: Problem) -> bool:
+    """Whether the objective has energy, and no motion has told yet how much power there is to smooth."""
+    own = problem.objective
+    return own is not None and "energy" in own.weights and own.smoothing is None
+
+
+def with_smoothing(problem: Problem, xs: np.ndarray, us: np.ndarray) -> Problem:
+    """The problem; if its energy lacks smoothing, with that of a motion xs (N+1, nx), us (N, nu) (see EnergyCost)."""
+    if not lacks_smoothing(problem):
+        return problem
+    assert problem.objective is not None  # it has energy
+    smoothing = EnergyCost(problem.dynamics).smoothing_along(xs, us)
+    return with_objective(problem, problem.objective.stored | {"smoothing": smoothing})
+
+
+def smoothed(problem: Problem, solve: Callable[[Problem], Any]) -> Problem:
+    """The problem; if its energy lacks smoothing, with that of its plan of least effort, from which it then starts."""
+    if not lacks_smoothing(problem):
+        return problem
+    usual = solve(without_objective(problem))
+    return replace(with_smoothing(problem, usual.xs, usual.us), us=usual.us)
 
 
 def smoothing_of(problem: Problem | None) -> dict[str, float]:

@@ -86,7 +86,7 @@ class Objective:
     Attributes:
         weights: Above 0, by names of OBJECTIVES: the arguments of with_objective, and the share of effort.
         base: The problem's cost before with_objective.
-        smoothing: Of the energy, W; None for EnergyCost's own.
+        smoothing: Of the energy, W; None until a motion tells (planner.problem.objective.with_smoothing).
         duration_found: Whether the problem's duration is what a search over durations found, for time.
     """
 

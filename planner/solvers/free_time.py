@@ -23,13 +23,13 @@ import numpy as np
 
 from planner.base.arguments import number, short_repr
 from planner.base.errors import PlannerError
-from planner.problem.costs.motors import EnergyCost
 from planner.problem.limits import EXACT, Limits
 from planner.problem.objective import (
     base_problem,
     smoothing_of,
     with_found_duration,
     with_objective,
+    with_smoothing,
     without_objective,
 )
 from planner.problem.plan import Plan, Status
@@ -148,8 +148,8 @@ def _in_its_duration(
     default = without_objective(problem)
     if set(weights) != {"effort"} or default.cost is not base_problem(problem).cost:
         usual = solve(default, **single_start(options))
-        smoothing = smoothing_of(problem) or _smoothing(problem, weights, usual)
-        wanted = replace(with_objective(problem, weights | smoothing), us=usual.us)
+        wanted = with_smoothing(with_objective(problem, weights | smoothing_of(problem)), usual.xs, usual.us)
+        wanted = replace(wanted, us=usual.us)
     return solve(wanted, callback=callback, **options)
 
 
@@ -182,13 +182,6 @@ def _over_durations(
     if before is not None and search.best is None:
         return None
     return search.best_plan({"durations": list(between), "tolerance": tolerance})
-
-
-def _smoothing(problem: Problem, weights: Mapping[str, float], usual: Plan) -> dict[str, float]:
-    """The smoothing of the energy, W, by the powers of a plan of least effort; nothing without energy."""
-    if "energy" not in weights:
-        return {}
-    return {"smoothing": EnergyCost(problem.dynamics).smoothing_along(usual.xs, usual.us)}
 
 
 def _exact(problem: Problem) -> Problem:
@@ -262,9 +255,8 @@ class _DurationSearch:
             if not free.constraints:  # else a path through an obstacle is a bad guess
                 free = replace(free, limits=None)
             usual = solve(free, **single_start(options))
-            if not self.smoothing:
-                self.smoothing = _smoothing(problem, self.rest, usual)
-                problem = with_objective(problem, self.rest | self.smoothing)
+            problem = with_smoothing(problem, usual.xs, usual.us)
+            self.smoothing = smoothing_of(problem)
             problem = replace(problem, us=warm_start(usual, problem))
             if usual.status is Status.INTERRUPTED:
                 self.last = self.last or as_user_plan(

@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.base.data_files import finite
 from planner.base.errors import PlannerError
-from planner.problem.objective import rebuilt
+from planner.problem.objective import rebuilt, with_objective
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.solvers.periodic_boundary import PARAMETER, terminal_goal_cost
@@ -129,6 +129,8 @@ class _TimesSearch:
                 raise
             self.idle += 1
             return REFUSED * self.tried[0].cost, none
+        if plan.problem is not None and plan.problem.objective is not None:  # the smoothing of its energy stays
+            self.problem = with_objective(self.problem, plan.problem.objective.stored)
         cost = _task_cost(plan)
         line = PhaseTimes(len(self.tried), tuple(times.tolist()), cost, plan.total_iterations, plan.status)
         self.tried.append(line)

@@ -37,7 +37,7 @@ from planner.model.space import space_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.goals import has_tolerances
 from planner.problem.initial_guess import Trajectory
-from planner.problem.objective import seeks_duration, solver_problem
+from planner.problem.objective import seeks_duration, smoothed, solver_problem
 from planner.problem.plan import Iteration, Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.rediscretize import is_unresolved, stage_too_long
@@ -79,7 +79,7 @@ def solve(
     """Solve a trajectory optimization problem.
 
     Where its objective has time, this is solve_for(problem): its duration is chosen by many solves. A plan's own
-    problem has its duration already, and with `warm_start` any keeps it.
+    problem has its duration already, and with `warm_start` any keeps it. One of energy is solved for effort first.
 
     Args:
         problem: The problem to solve.
@@ -139,15 +139,17 @@ def solve(
         raise PlannerError(
             f"rank is {short_repr(rank)}, expected a function of a Plan, e.g. planner.proof.proven_cost."
         )
+    work = budget_of(budget)
     if seeks_duration(problem) and warm_start is None and problem.periodic is None:  # a cycle's duration is fixed
         from planner import solve_for  # at first use, since it is made of solves
 
-        given: dict[str, Any] = {"states": states, "rank": rank, "executor": executor, "budget": budget}
+        given: dict[str, Any] = {"states": states, "rank": rank, "executor": executor, "budget": work}
         return solve_for(problem, callback=callback, options=own, **given)
 
+    one = with_overrides(own, starts=1)
+    problem = smoothed(problem, partial(solve, options=one, warm_start=warm_start, budget=work))
     settings = own.for_problem(problem)
     asked, deadline = settings.max_iterations, None
-    work = budget_of(budget)
     if work is not None:
         deadline = work.deadline
         affordable = work.iterations(problem, asked, settings.starts, is_in_numpy(problem, settings.rule))

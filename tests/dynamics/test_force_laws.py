@@ -114,7 +114,7 @@ def test_power_joint_force_and_energy_have_exact_derivatives(arm):
             d = h * np.eye(dynamics.nu)[i]
             slope = (function.values(xs, us + d, n) - function.values(xs, us - d, n)) / (2 * h)
             np.testing.assert_allclose(by_u[:, 0, i], slope[:, 0], atol=1e-7 * max(1.0, np.abs(by_u).max()))
-    assert_gradients(EnergyCost(dynamics), arm.space, np.concatenate([xs, xs[:1]]), us)
+    assert_gradients(EnergyCost(dynamics, smoothing=1.0), arm.space, np.concatenate([xs, xs[:1]]), us)
 
 
 def test_what_the_plan_does_not_bound_or_integrate_is_said(arm):

@@ -43,7 +43,7 @@ class ProblemFile(NamedTuple):
             return self._unrolled(plan, callback, options)
         if self.objective is None:
             return solve(self.problem, callback=callback, **options)
-        return solve_for(self.problem, self.objective, durations=self.durations, callback=callback, **options)
+        return solve_for(self.problem, durations=self.durations, callback=callback, **options)  # its own objective
 
     def _at_best_times(self, callback: Callable[[Any], object] | None, options: dict[str, Any]) -> Plan:
         """The plan of least cost by the times of its phases; several starts are for the first solve."""

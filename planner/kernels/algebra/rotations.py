@@ -58,6 +58,21 @@ def difference(q, at, reference, at_reference, r, at_r):
 
 
 @inline
+def difference_of_lanes(q, reference, at, r, at_r):
+    """As difference, where the quaternions from `at` on are lanes of both."""
+    p, p0, out = as_floats(q), as_floats(reference), as_floats(r)
+    for lane in range(WIDTH):
+        k, o = at * WIDTH + lane, at_r * WIDTH + lane
+        b, c, d = _log_between(
+            load(p0, k), load(p0, k + WIDTH), load(p0, k + 2 * WIDTH), load(p0, k + 3 * WIDTH),
+            load(p, k), load(p, k + WIDTH), load(p, k + 2 * WIDTH), load(p, k + 3 * WIDTH),
+        )  # fmt: skip
+        store(out, o, b)
+        store(out, o + WIDTH, c)
+        store(out, o + 2 * WIDTH, d)
+
+
+@inline
 def difference_floats(q, reference, r):
     """Rotation vector (three floats of r) from one quaternion to another."""
     b, c, d = _log_between(

@@ -11,6 +11,7 @@ deviation e (see planner.solvers.augmented_lagrangian); where both bounds are th
 from __future__ import annotations
 
 from planner.kernels.algebra.rotations import inverse_right_jacobian_floats
+from planner.kernels.algebra.tiles import four_rows
 from planner.kernels.lq.deviation import deviation
 from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
@@ -149,8 +150,11 @@ def _add_residuals(w, M, n):
 @inline
 def add_weights(w, M, n):
     """The weights of stage n, or of the end, onto the upper triangle of its Hessian M (z, z)."""
-    width, first = w[W.width], w[W.first]
+    width, first, rows = w[W.width], w[W.first], w[W.hessian_rows]
     if n < w[W.N]:
+        for i in range(0, width if rows > 0 else 0, WIDTH):
+            C, A = (M, i * width + i, width), (floats(w, W.rows), n * rows * width + i, width)
+            four_rows(C, (A[0], A[1], width, 1), A, rows, 1.0, width - i, C, True)
         row, column, value, terms = control_terms(w, n)
         for t in range(terms):
             k = load(row, t) * width + load(column, t)

@@ -20,13 +20,13 @@ ACCEPTED, CONVERGED, INDEFINITE, NO_STEP = 0, 1, 2, 3
 
 W = Layout(
     "N nx ndx nu width first structured vectors quaternions stage_terms stage_plain final_terms final_plain "
-    "control_terms bounded stage_penalties penalties exact residual_columns servos has_defects outputs",
+    "control_terms bounded stage_penalties penalties exact residual_columns servos has_defects outputs hessian_rows",
     "xs us x_ref u_ref vector_x vector_dx quaternion_x quaternion_dx ball stage_row stage_column stage_value "
     "final_row final_column final_value control_row control_column control_value error turn l F transport K k dus "
     "gradient H G S h costate dx trial_x trial_u deviations lower upper box penalty_dx penalty_lower penalty_upper "
     "penalty_weight penalty_active T costates residual_hessian residual_active range_lower range_upper servo_control "
     "servo_start servo_x servo_dx servo_at_start servo_at_end servo_low servo_high lower_share upper_share defects "
-    "values dxs active_bounds active_row active_gradient penalty_e penalty_side",
+    "values dxs active_bounds active_row active_gradient penalty_e penalty_side rows",
 )
 _K = W.K
 # Rows of the line search's array: step lengths, costs, slopes, the bracket, and what it is given: cost, slope, dt.
@@ -73,6 +73,8 @@ class Workspace:
         defects: (N, ndx) from the start of each stage's successor to its end; empty until asked for.
         values: (N, ndx, ndx+1) the value function (P | s) of the end of each stage, kept by a sweep across defects.
         dxs: (N+1, ndx) the deviations of the direction across defects.
+        rows: (N, rows, width) whose squares are in the Hessians of the stages, from terms that are not of a state
+            alone (see kernels.tree.residuals.motor_work).
         residuals: A kernels.tree.residuals.table.ResidualTable, or None.
         lower: (N, nu) bounds of the controls; those of servos at the nominal states.
         upper: (N, nu).
@@ -148,11 +150,12 @@ class Workspace:
         self._arrays |= {"lower_share": self.lower_share, "upper_share": self.upper_share}
         self.T, self.costates = np.zeros((0, width, width)), np.zeros((0, width))
         self._arrays |= {"T": self.T, "costates": self.costates, "residual_hessian": np.zeros(0)}
-        self._arrays |= {"residual_active": np.zeros(0)}
+        self._arrays |= {"residual_active": np.zeros(0), "rows": np.zeros(0)}
         self.state_regularization = self.T
         self.defects, self.values, self.dxs = np.zeros((0, ndx)), np.zeros((0, ndx, ndx + 1)), np.zeros((0, ndx))
         self._arrays |= {"defects": self.defects, "values": self.values, "dxs": self.dxs}
         self.residuals: Any = None
+        self.rows = np.zeros((N, 0, width))
         sizes = {
             "N": N, "nx": nx, "ndx": ndx, "nu": nu, "width": width, "first": self.first, "structured": structured,
             "vectors": in_x.sum(), "quaternions": len(quaternions), "stage_terms": len(stage[0]),
@@ -161,7 +164,7 @@ class Workspace:
             at_end,
             "penalties": len(penalty_dx), "exact": False, "residual_columns": 0,
             "servos": 0 if servos is None else len(servos.control), "has_defects": False,
-            "outputs": outputs,
+            "outputs": outputs, "hessian_rows": 0,
         }  # fmt: skip
         self._arrays = {name: np.ascontiguousarray(array) for name, array in self._arrays.items()}  # keeps all alive
         self.table = W.table(sizes, self._arrays)
@@ -213,6 +216,11 @@ class Workspace:
         self.table[W.residual_columns] = residuals.columns
         self.table[W.residual_hessian] = residuals.hessian.ctypes.data
         self.table[W.residual_active] = residuals.active.ctypes.data
+        if residuals.works:
+            (N, nu), width = self.us.shape, self.l.shape[1]
+            rows = lane_array(N * nu * width + WIDTH)  # read four at a time, past their ends
+            self.rows, self._arrays["rows"] = rows[:-WIDTH].reshape(N, nu, width), rows
+            self.table[W.hessian_rows], self.table[W.rows] = nu, rows.ctypes.data
 
 
 def _servo_arrays(servos: Any) -> dict[str, np.ndarray]:

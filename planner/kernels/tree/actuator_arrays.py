@@ -8,6 +8,7 @@ import numpy as np
 
 from planner.kernels.force_laws import LAW_SIZE, LAWS
 
+MOTOR_SIZE = 4 + LAW_SIZE  # numbers of an actuator: gain, bias (3), those of its force law
 WRENCH_SIZE = 11  # numbers of an actuator's wrench: place (3), force (3), torque (3), gain, constant force
 
 
@@ -47,6 +48,28 @@ def actuator_arrays(mechanism: Any, prescribed: np.ndarray, actuated: bool) -> d
         "activation_input": np.array(states["input"], dtype=np.int64),
         "activation_gain": np.array(states["gain"], dtype=float),
         "activation_rate": np.array(states["rate"], dtype=float), "prescribed": which,
+    }  # fmt: skip
+
+
+def motor_arrays(mechanism: Any, ball_v: np.ndarray, nu: int) -> dict[str, np.ndarray]:
+    """Per actuator: its input (of nu controls, then act), numbers, force law or -1, and from motor_start on its moment.
+
+    That is by degree of freedom: the factor, and the ball that it is of, or -1; ball_v has the first of each ball.
+    """
+    a = mechanism.actuators
+    row, dof = np.nonzero(a.moment)
+    values, laws = np.zeros((a.nu, MOTOR_SIZE)), np.full(a.nu, -1)
+    values[:, 0], values[:, 1:4] = a.gain, a.bias
+    for law in a.laws:
+        laws[law.actuator] = list(LAWS).index(law.kind)
+        values[law.actuator, 4 : 4 + len(law.numbers)] = law.numbers
+    ball = np.full(mechanism.nv + 3, -1)
+    for number, first in enumerate(ball_v):
+        ball[first : first + 3] = number
+    return {
+        "motor_input": np.where(a.activation < 0, np.arange(a.nu), nu + a.activation), "motor_value": values,
+        "motor_law": laws, "motor_start": np.searchsorted(row, np.arange(a.nu + 1)), "motor_dof": dof,
+        "motor_factor": a.moment[row, dof], "motor_ball": ball[dof],
     }  # fmt: skip
 
 

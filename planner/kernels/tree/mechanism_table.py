@@ -19,7 +19,7 @@ import numpy as np
 from planner.base.errors import PlannerError
 from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
-from planner.kernels.tree.actuator_arrays import actuator_arrays, law_arrays, wrench_arrays
+from planner.kernels.tree.actuator_arrays import actuator_arrays, law_arrays, motor_arrays, wrench_arrays
 from planner.kernels.tree.contact_tables import contact_arrays, pair_arrays, soft_arrays, stop_arrays
 from planner.kernels.tree.joint_row_arrays import joint_row_arrays
 from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
@@ -44,7 +44,8 @@ TREE = Layout(
     "loop_rigid loop_rate coupling_dof coupling_value triple_kind moved_start moved_dof reach_start reach_dof "
     "shared_start shared_dof bound_start bound_rows block_start block_stop implicit_damping "
     "wrench_link wrench_frame wrench_input wrench_start wrench_dof wrench_frame_start wrench_frame_dof wrench_value "
-    "law_kind law_input law_value law_start law_dof law_factor law_push soft_link soft_address soft_value",
+    "law_kind law_input law_value law_start law_dof law_factor law_push soft_link soft_address soft_value "
+    "motor_start motor_dof motor_factor motor_ball motor_input motor_law motor_value",
 )
 
 
@@ -136,7 +137,7 @@ class Model:
             | pair_arrays(pairs, mechanism.parent, arrays)
         )
         arrays |= _curves(curves) | tendon_arrays(tendons) | gravcomp_arrays(mechanism, arrays["frames"])
-        arrays |= drag_arrays(mechanism.drags, arrays["frames"])
+        arrays |= drag_arrays(mechanism.drags, arrays["frames"]) | motor_arrays(mechanism, arrays["ball_v"], self.nu)
         arrays |= joint_row_arrays(mechanism, losses, met) | _dependents(reduction)
         chains = [{i for link in loop.links for i in chain_of(mechanism.parent, link)} for loop in loops]
         arrays |= loop_arrays(loops, polynomial_couplings, chains, mechanism, arrays)

@@ -35,6 +35,8 @@ from planner.kernels.numba.lanes import (
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.residuals.evaluate import residual_cost
+from planner.kernels.tree.residuals.layout import RESIDUALS
+from planner.kernels.tree.residuals.motor_work import work_cost
 from planner.kernels.tree.step import stage
 
 
@@ -214,7 +216,10 @@ def rollout(w, m, r, search, dt, limit, feedback, external, p, solids):
         stage(m, r, X, U, at(A_, n * kept), length, at(X_, (n + 1) * nx), external)
         if with_accelerations:
             _append_accelerations(m, X, at(X_, (n + 1) * nx), length)
-        if p is not None:  # a stage of an Euler method has left the links where X has them
+        if p is not None:
+            if pointer(p)[RESIDUALS.works] > 0:
+                J += work_cost(m, pointer(p), X, U, at(X_, (n + 1) * nx))
+            # a stage of an Euler method has left the links where X has them
             placed = r[MEMORY.integrator] <= SEMI_IMPLICIT_EULER
             J += residual_cost(m, pointer(p), X, lanes(r, MEMORY.links), n, placed, solids)
         J += control

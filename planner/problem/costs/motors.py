@@ -15,7 +15,7 @@ SLQ needs a quadratic model. The gradient is e'(p) dp, and the Hessian is replac
 
 the curvature of the parabola that has the value and slope of e at p and is an upper bound of e (concave in p^2). dp is
 the power linearized along the dynamics, since it depends on both ends of a stage; force times speed gives a mixed term
-S.
+S. Kernels do all of it (kernels.tree.residuals.motor_work).
 
 DriveCost has squared forces at prescribed joints for the planned accelerations (Cases 2 and 3):
 
@@ -26,7 +26,7 @@ tau_p is the force of motors in place of the prescription. The joints' accelerat
     a_p = a_0(x, u) + G(x) tau_p,     so     tau_p = G^-1 (u_p - a_0),     d tau_p = G^-1 (du_p - d a_p at fixed tau_p)
 
 with G from the exact Jacobian of the machine with motors, by the kernels. The Hessian is Gauss-Newton with its mixed
-term. The cost is computed in NumPy, so a problem with it is solved by the NumPy engine.
+term. DriveCost is computed in NumPy, beside compiled costs.
 """
 
 from __future__ import annotations
@@ -41,18 +41,20 @@ import numpy as np
 from planner.base.arguments import LONGEST_HORIZON, count, number, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
-from planner.dynamics.joint_forces import force_derivatives_at, forces_at
+from planner.kernels.lq.workspace import Workspace
 from planner.model.coordinates import Coordinate
 from planner.model.mjcf.prescribed_joints import PRESCRIBED_ARMATURE, heavy_joints, prescribed_dofs, with_force_inputs
+from planner.model.space import StateSpace
 from planner.problem.costs.jerk import Accelerations
+from planner.problem.costs.residual_arrays import ResidualArrays, ResidualList
 from planner.problem.costs.terms import GoalSpec, Quadratic, Term
-from planner.problem.costs.tracking import one_each
+from planner.problem.costs.tracking import NoTracking, one_each
 
-SMOOTHING = 1.0
-"""Smoothing s, W, where no motion says how much power a machine takes: an arm of some kg needs some tens of W."""
 SMOOTHING_SHARE = 0.02
 """Of the mean power along a motion, s of a plan that starts from it: a minimum then takes at most this share of that
 motion's work above the least nearby; the built-in two-link 0.2 %. Less takes more iterations."""
+TINY = np.finfo(float).tiny  # in place of 0 in a denominator
+WITHOUT_POWER = 1.0  # W, s along a motion that takes no power, or runs away: any other would do as well
 
 
 class EnergyCost(Term):
@@ -64,14 +66,15 @@ class EnergyCost(Term):
     Args:
         dynamics: RigidBodyDynamics without prescribed joints.
         weight: Per J.
-        smoothing: s, W: a power p = s costs 0.41 s, a large power p - s.
+        smoothing: s, W: a power p = s costs 0.41 s, a large power p - s. None for the work itself, as a measure; solves
+            need one (see smoothing_along), which those of an objective find.
 
     Raises:
         PlannerError: Other dynamics, prescribed joints, actuators at sites, a negative weight, or a smoothing that is
-            not above 0.
+            not above 0; and none, where derivatives are asked for.
     """
 
-    def __init__(self, dynamics: Any, weight: float = 1.0, smoothing: float = SMOOTHING) -> None:
+    def __init__(self, dynamics: Any, weight: float = 1.0, smoothing: float | None = None) -> None:
         if not isinstance(dynamics, RigidBodyDynamics):
             expected = "expected RigidBodyDynamics: energy is the work of actuators"
             raise PlannerError(f"the machine is {short_repr(dynamics)}, {expected}.")
@@ -84,13 +87,28 @@ class EnergyCost(Term):
             )
         self.dynamics, self.mechanism, self.dt = dynamics, dynamics.mechanism, dynamics.dt
         self.weight = number("the energy's weight", weight, minimum=0.0)
-        self.smoothing = number("the energy's smoothing", smoothing, greater_than=0.0)
+        self.smoothing = None if smoothing is None else number("the energy's smoothing", smoothing, greater_than=0.0)
         self.space, self.nx, self.ndx, self.nu = dynamics.space, dynamics.nx, dynamics.ndx, dynamics.nu
+
+    def residual_arrays_for(self, N: int) -> ResidualArrays:
+        """What the kernels of solves of N stages read."""
+        if self.smoothing is None:
+            raise PlannerError(
+                "the energy has no smoothing, expected one in W, e.g. that of EnergyCost(...).smoothing_along(xs, us)."
+            )
+        return self._arrays(N, self.smoothing)
+
+    def augmented(self, own: StateSpace, space: StateSpace) -> EnergyCost:
+        """The same cost on a state with appended components."""
+        cost = copy(self)
+        cost.space, cost.nx, cost.ndx = space, space.nx, space.ndx
+        return cost
 
     def power(self, xs: np.ndarray, us: np.ndarray) -> np.ndarray:
         """(N, nu) W, the mean power of each actuator over each stage of xs (N+1, nx), us (N, nu)."""
-        force, way, _ = self._parts(xs, us)
-        return force * way / self.dt
+        w, memory, found = *self._workspace(xs, us, self._arrays(len(us), 0.0)), np.empty((len(us), self.nu))
+        self.dynamics.works_nominal(w, memory, found)
+        return found / self.dt
 
     def work(self, xs: np.ndarray, us: np.ndarray) -> float:
         """The work in J, neither weighted nor smoothed: |p_j| summed over actuators and, times dt, over stages."""
@@ -99,57 +117,40 @@ class EnergyCost(Term):
     def smoothing_along(self, xs: np.ndarray, us: np.ndarray) -> float:
         """Smoothing for motions like xs (N+1, nx), us (N, nu): SMOOTHING_SHARE of the mean power of an actuator, W."""
         mean = float(np.abs(self.power(xs, us)).mean())
-        return SMOOTHING_SHARE * mean if 0.0 < mean < np.inf else SMOOTHING
+        return SMOOTHING_SHARE * mean if 0.0 < mean < np.inf else WITHOUT_POWER
 
     def value(self, xs: np.ndarray, us: np.ndarray) -> float:
         """J of a trajectory xs (N+1, nx), us (N, nu)."""
-        p, s = self.power(xs, us), self.smoothing
-        return self.weight * self.dt * float(np.sum(p * p / (np.sqrt(p * p + s * s) + s)))  # without cancellation
+        p, s = self.power(xs, us), self.smoothing or 0.0
+        return self.weight * self.dt * float(np.sum(p * p / np.maximum(np.sqrt(p * p + s * s) + s, TINY)))
 
     def quadratize(self, xs: np.ndarray, us: np.ndarray) -> Quadratic:
         """Exact gradients along any xs (N+1, nx), us (N, nu); the approximate Hessian of the module."""
-        N, (by_x, by_end, by_u) = len(us), self._derivatives(xs, us)
-        p = self.power(xs, us)
-        curvature = self.weight * self.dt / np.sqrt(p * p + self.smoothing**2)  # e'(p)/p
-        q = np.zeros((N + 1, self.ndx))
-        q[:N] = np.einsum("nji,nj->ni", by_x, curvature * p)
-        q[1:] += np.einsum("nji,nj->ni", by_end, curvature * p)
-        r = np.einsum("njk,nj->nk", by_u, curvature * p)
-        A, B = self.dynamics.linearize(xs, us)
-        by_x, by_u = by_x + by_end @ A, by_u + by_end @ B
-        Q = np.zeros((N + 1, self.ndx, self.ndx))
-        Q[:N] = np.swapaxes(by_x, 1, 2) @ (curvature[:, :, None] * by_x)
-        weighted = np.swapaxes(curvature[:, :, None] * by_u, 1, 2)
-        return Quadratic(Q, q, weighted @ by_u, r, weighted @ by_x)
+        w, memory = self._workspace(xs, us, self.residual_arrays_for(len(us)))
+        self.dynamics.stage_ends(w, memory)
+        self.dynamics.linearize_nominal(w, memory)
+        self.dynamics.quadratize_nominal(w, memory)
+        own, nu, x = self.dynamics.ndx, self.nu, slice(w.first, w.first + self.dynamics.ndx)
+        Q, q = np.zeros((len(xs), self.ndx, self.ndx)), np.zeros((len(xs), self.ndx))
+        S = np.zeros((len(us), nu, self.ndx))
+        by_u, by_x, q[:, :own] = w.rows[:, :, :nu], w.rows[:, :, x], w.l[:, x]
+        Q[:-1, :own, :own], S[:, :, :own] = by_x.mT @ by_x, by_u.mT @ by_x
+        return Quadratic(Q, q, by_u.mT @ by_u, w.l[:-1, :nu].copy(), S)
 
     def goal_specs(self, _: Sequence[Coordinate]) -> tuple[GoalSpec, ...]:
         """No goals: the end of the last stage is where its work ends, and nothing is asked of it."""
         return ()
 
-    def _parts(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean forces f (N, nu), displacements d (N, nu), and deviations (N, ndx) from one knot to the next."""
-        move = self.space.difference(xs[1:], xs[:-1])
-        force = 0.5 * forces_at(self.mechanism, *_both_ends(xs, us)).reshape(2, *us.shape).sum(axis=0)
-        return force, move[:, : self.mechanism.nv] @ self.mechanism.actuators.moment.T, move
+    def _arrays(self, N: int, smoothing: float) -> ResidualArrays:
+        return replace(ResidualList(N).arrays(), work=np.array([[self.weight, smoothing, self.dt]]))
 
-    def _derivatives(self, xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives of the power by both ends (N, nu, ndx) of each stage, and by its controls (N, nu, nu)."""
-        acts, nv = self.mechanism.actuators, self.mechanism.nv
-        force, way, move = self._parts(xs, us)
-        along = np.zeros((len(acts.moment), self.ndx))
-        along[:, :nv] = acts.moment
-        by_end = force[:, :, None] * (along @ self.space.difference_jacobian(move))
-        by_x = -force[:, :, None] * (along @ self.space.difference_jacobian(-move))
-        of_x, of_u = force_derivatives_at(self.mechanism, *_both_ends(xs, us))
-        by_x += 0.5 * way[:, :, None] * of_x[: len(us)]
-        by_end += 0.5 * way[:, :, None] * of_x[len(us) :]
-        by_u = 0.5 * (way * (of_u[: len(us)] + of_u[len(us) :]))[:, :, None] * np.eye(self.nu)
-        return by_x / self.dt, by_end / self.dt, by_u / self.dt
-
-
-def _both_ends(xs: np.ndarray, us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """States (2N, nx) at the start of each stage, then at its end, and their controls (2N, nu)."""
-    return np.concatenate([xs[:-1], xs[1:]]), np.concatenate([us, us])
+    def _workspace(self, xs: np.ndarray, us: np.ndarray, arrays: ResidualArrays) -> tuple[Workspace, Any]:
+        """What kernels read of a trajectory, and their scratch memory."""
+        N, dynamics = len(us), self.dynamics
+        w = Workspace(NoTracking(N, dynamics.space, self.nu), dynamics.space, dynamics.structured)
+        w.xs[:], w.us[:] = xs[:, : dynamics.nx], us
+        w.use_residuals(dynamics.residuals(arrays))
+        return w, dynamics.memory(N)
 
 
 class DriveCost(Term):

@@ -11,7 +11,7 @@ with a target or bound b at each stage and costs w r^2 / 2:
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,8 @@ class ResidualArrays:
     ramp: np.ndarray  # (M,) a
     bound: np.ndarray  # (M, N+1) b, 0 where a row is off
     weight: np.ndarray  # (M, N+1) w, 0 where a row is off; running weights times dt
+    # (E, 3) of the motors' work: weight per J, smoothing in W, length of a stage in s
+    work: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
         for value in vars(self).values():

@@ -13,7 +13,7 @@ from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
 from planner.model.coordinates import Coordinate
 from planner.model.mechanism import Mechanism
-from planner.model.space import StateSpace, euclidean
+from planner.model.space import StateSpace, euclidean, origin_of
 from planner.problem.costs.terms import Cost, GoalSpec, Quadratic, Term, per_stage
 
 _ROUNDING = 1e-20  # of the largest weight: what is left of none after the steps of a Riccati equation
@@ -32,6 +32,14 @@ def matrices(name: str, value: Any, stages: int, size: int) -> np.ndarray:
     if given.ndim == 2:
         given = np.broadcast_to(given, (stages, *given.shape))
     return array(name, given, (stages, size, size))
+
+
+class NoTracking:
+    """A TrackingCost of weight zero."""
+
+    def __init__(self, N: int, space: StateSpace, nu: int) -> None:
+        self.Q, self.R = np.zeros((N + 1, space.ndx, space.ndx)), np.zeros((N, nu, nu))
+        self.x_ref, self.u_ref = np.tile(origin_of(space), (N + 1, 1)), np.zeros((N, nu))
 
 
 def one_each(name: str, value: Any, size: int) -> np.ndarray:

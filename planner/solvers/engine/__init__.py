@@ -13,11 +13,12 @@ from planner.kernels.lq import line_search
 from planner.model.mechanism import Mechanism
 from planner.model.space import space_of
 from planner.problem.costs.least_squares import ResidualCost
+from planner.problem.costs.motors import EnergyCost
 from planner.problem.costs.residual_arrays import ResidualArrays, joined
 from planner.problem.costs.terms import Cost, SumCost
-from planner.problem.costs.tracking import TrackingCost
+from planner.problem.costs.tracking import NoTracking, TrackingCost
 from planner.problem.problem import Problem
-from planner.solvers.engine.compiled import CompiledEngine, NoTracking
+from planner.solvers.engine.compiled import CompiledEngine
 from planner.solvers.engine.hybrid_engine import ConstrainedEngine, HybridEngine
 from planner.solvers.engine.in_numpy import NumpyEngine
 from planner.solvers.engine.protocol import DefectStep, Direction, Engine, IterationResult
@@ -39,6 +40,7 @@ __all__ = [
 # Idle engines: a repeated solve allocates only its result. They must not refer to their problem, which could then not
 # be freed.
 _WITHOUT_RESIDUALS = {"contacts", "body_contacts", "friction_loss", "friction_inertia", "friction_rate"}
+_KNOWN = (TrackingCost, ResidualCost, EnergyCost)
 _idle: WeakKeyDictionary[Problem, dict[bool, list[Engine]]] = WeakKeyDictionary()
 
 
@@ -90,14 +92,14 @@ def _has(dynamics: CompiledDynamics, problem: Problem, rule: int, own: bool) -> 
 def _split(problem: Problem) -> tuple[list[Cost], list[Cost]]:
     """The terms of a cost that kernels may support, and the user-defined others."""
     terms = problem.cost.costs if isinstance(problem.cost, SumCost) else (problem.cost,)
-    known: list[Cost] = [term for term in terms if isinstance(term, (TrackingCost, ResidualCost))]
-    return known, [term for term in terms if not isinstance(term, (TrackingCost, ResidualCost))]
+    known: list[Cost] = [term for term in terms if isinstance(term, _KNOWN)]
+    return known, [term for term in terms if not isinstance(term, _KNOWN)]
 
 
 def _compiled(problem: Problem, terms: list[Cost]) -> tuple[TrackingCost | NoTracking, ResidualArrays | None] | None:
     """The TrackingCost and the residuals of some terms; None without terms or without kernels for one."""
     tracking = [term for term in terms if isinstance(term, TrackingCost)]
-    residuals = [term for term in terms if isinstance(term, ResidualCost)]
+    residuals = [term for term in terms if isinstance(term, (ResidualCost, EnergyCost))]
     dynamics = problem.dynamics
     if not terms or len(tracking) > 1:
         return None

@@ -16,11 +16,10 @@ from planner.kernels.lq.riccati import direction, riccati_dense, riccati_structu
 from planner.kernels.lq.second_order import costates
 from planner.kernels.lq.workspace import W, Workspace
 from planner.kernels.precompile import compile_together
-from planner.model.space import StateSpace, space_of
+from planner.model.space import space_of
 from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.problem.costs.residual_arrays import ResidualArrays
-from planner.problem.costs.tracking import TrackingCost
-from planner.problem.limits import origin_of
+from planner.problem.costs.tracking import NoTracking, TrackingCost
 from planner.problem.problem import Problem
 from planner.solvers.engine.protocol import (
     MAX_SETS,
@@ -42,14 +41,6 @@ _READ_ONLY = {
     "lower", "upper", "range_lower", "range_upper", "penalty_dx", "servo_control", "servo_start", "servo_x", "servo_dx",
     "servo_at_start", "servo_at_end", "servo_low", "servo_high",
 }  # fmt: skip
-
-
-class NoTracking:
-    """A TrackingCost of weight zero."""
-
-    def __init__(self, N: int, space: StateSpace, nu: int) -> None:
-        self.Q, self.R = np.zeros((N + 1, space.ndx, space.ndx)), np.zeros((N, nu, nu))
-        self.x_ref, self.u_ref = np.tile(origin_of(space), (N + 1, 1)), np.zeros((N, nu))
 
 
 class CompiledEngine(Engine):

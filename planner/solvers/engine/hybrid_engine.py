@@ -44,8 +44,8 @@ class HybridEngine(CompiledEngine):
         self, problem: Problem, dynamics: Any, cost: Any, residuals: ResidualArrays | None = None,
         own: Sequence[Cost] = (),
     ) -> None:  # fmt: skip
-        self._own: Cost | None = None if not own else own[0] if len(own) == 1 else SumCost(*own)
         self._R = cost.R
+        self._own: Cost | None = None if not own else own[0] if len(own) == 1 else SumCost(*own)
         self._adds = bool(own)  # whether there are terms in NumPy
         self._dynamics_of = dynamics
         self._upper: np.ndarray | None = None  # (width, width) 1 where T is read

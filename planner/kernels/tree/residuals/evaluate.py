@@ -36,6 +36,7 @@ from planner.kernels.tree.residuals.curvature import add_distance_curvature
 from planner.kernels.tree.residuals.frames import TILT, TILT_BEND
 from planner.kernels.tree.residuals.kinds import differentiate, measure
 from planner.kernels.tree.residuals.layout import LAW_SIZE, MAX_ROWS, RESIDUALS
+from planner.kernels.tree.residuals.motor_work import quadratize_work
 from planner.kernels.tree.residuals.points import place_links, place_points
 from planner.kernels.tree.step import gather
 
@@ -133,7 +134,7 @@ def _scatter(w, p, first, present, solids):
 def quadratize_residuals(w, m, r, p, solids):
     """Add the terms' gradients to W.l of every stage and of the end, and leave their Hessians in W.residual_hessian.
 
-    solids is as in residual_cost.
+    Work of the motors has its own in W.rows. solids is as in residual_cost.
     """
     w, m, r, p = pointer(w), pointer(m), pointer(r), pointer(p)
     stages, nx, x, ws = w[W.N] + 1, w[W.nx], lanes(r, MEMORY.x), lanes(r, MEMORY.links)
@@ -175,3 +176,5 @@ def quadratize_residuals(w, m, r, p, solids):
                         rows += 1
                     _add_term(p, t, rows)
         _scatter(w, p, first, min(WIDTH, stages - first), solids)
+    if p[RESIDUALS.works] > 0:
+        quadratize_work(w, m, r, p)

@@ -15,7 +15,7 @@ import numpy as np
 from planner.kernels.numba.lanes import WIDTH, lane_array, padded
 from planner.kernels.tree.mechanism_table import chain_of
 from planner.kernels.tree.residuals.kinds import DISTANCE, FAST, KINDS, MASS_CENTRE, SOLIDS
-from planner.kernels.tree.residuals.layout import KEPT_SIZE, MAX_ROWS, PLACE_SIZE, RATE_SIZE, RESIDUALS
+from planner.kernels.tree.residuals.layout import KEPT_SIZE, MAX_ROWS, PLACE_SIZE, RATE_SIZE, RESIDUALS, TURN_SIZE
 from planner.kernels.tree.residuals.solids import FIRST_AXES, SECOND_AXES
 
 
@@ -31,6 +31,7 @@ class ResidualTable:
         hessian: (N+1, columns, ld) upper triangles, as the last quadratization left them.
         bends: (N+1, columns, ld) upper triangles of the second derivatives of the rows that `bend` names, weighted by
             the gradient of the cost, which the Hessians do not have; empty for none.
+        works: How many costs of the motors' work there are.
         solids: True where some terms are of two solids, else None: the kernels then do without their code.
     """
 
@@ -66,11 +67,14 @@ class ResidualTable:
             "gradient": lane_array(columns, WIDTH), "hessian": lane_array(columns * ld, WIDTH),
             "side": np.array([side for t, of in enumerate(dofs) for side in _sides(m.kind[t], m.ends[t], chains, of)]),
             "rates": lane_array(RATE_SIZE * nv, WIDTH), "bent": np.zeros(max(T, 1), dtype=np.int64),
-            "bend": lane_array(columns * ld, WIDTH), "bends": np.zeros(0),
+            "bend": lane_array(columns * ld, WIDTH), "bends": np.zeros(0), "work": m.work,
+            "way": lane_array(nv, WIDTH), "turns": lane_array(TURN_SIZE * len(model.arrays["ball_v"]), WIDTH),
+            "work_slopes": lane_array(2 * (2 * nv + model.na) + model.nu + 3, WIDTH), "through": np.zeros(nv),
         }  # fmt: skip
         # contiguous, and kept alive: the kernels have their addresses
         self._arrays = {name: np.ascontiguousarray(arrays[name]) for name in RESIDUALS.arrays}
         self.columns, self._first_row = columns, np.array(m.first_row)
+        self.works = len(m.work)
         self.solids = True if np.isin(m.kind, SOLIDS).any() else None
         self.bound, self.weight = (self._arrays[name][:, :stages] for name in ("bound", "weight"))
         self.active = self._arrays["active"]
@@ -78,7 +82,7 @@ class ResidualTable:
         sizes = {
             "points": len(link), "terms": T, "stride": stride, "constants": self._arrays["constant"].shape[1],
             "columns": columns, "ld": ld, "moved": len(arrays["links"]), "fast": fast.any(), "massive": massive,
-            "bending": 0,
+            "bending": 0, "works": len(m.work),
         }  # fmt: skip
         self.table = RESIDUALS.table(sizes, self._arrays)
         self.changed()
