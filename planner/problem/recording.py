@@ -3,6 +3,10 @@
 Read from a CSV file, a ROS bag or a LeRobot data set.
 
 The ending of a path chooses the reader. Messages have no word of a file's content but names of topics and episodes.
+
+`position of elbow` is of the joint. `elbow` is of the joint, too, unless it may be the actuator's: the file has other
+columns `position of ...`, as an exported plan has, or the column's unit is no position's. With a position's unit it is
+the joint's, unless the actuator has the same.
 """
 
 from __future__ import annotations

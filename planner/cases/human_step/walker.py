@@ -31,6 +31,10 @@ moments in the same directions,
                     17 kN m instead of 20 N m; nag92/LegMuscleModel has exp(2.5 - .25 k) there, for other subjects
 
 Our signs: a lifted foot and a stretched knee are positive, so k, a and their moments change their signs.
+
+Time is a fraction of a cycle from right heel strike to right heel strike. The right leg swings from SWING[0] to
+SWING[1], the left leg half a cycle later. A swing is planned with one leg; ankle and foot of the other one move
+as in the normal gait. A cycle has both legs and the belt.
 """
 
 from __future__ import annotations

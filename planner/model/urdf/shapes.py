@@ -2,6 +2,10 @@
 
 Shapes are of two groups: MuJoCo draws groups 0 to 2, so those that touch are drawn where a link has no others.
 Meshes are named by package://, model:// and file:// addresses, or by paths relative to the URDF.
+
+A URDF cannot say which links never touch, so collections leave hulls that run into each other, and planners of arms
+take such pairs out. Here the verdict names them. Shapes that only lie flush, as closed fingers do, stay; so do links
+at rest that the arm meets farther out than its base: a table may be one.
 """
 
 from __future__ import annotations

@@ -132,18 +132,3 @@ def _of_weight(problem: Problem, cost: TrackingCost, key: str, found: _Raises) -
                 table[name] = new[0] if len(new) == 1 else new
         value = table
     return fix(problem, f"weights.{key}", value, "goal_missed", **values)
-
-
-def without_ignored(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """No ignored parts, for a plan that is reproduced in its own model and misses its goal in the user's file."""
-    ignored = problem.parameters.get("ignore")
-    if proof is None or not of_file(problem) or not ignored or proof.your_file.passed:
-        return []
-    followed = proof.refined_open_loop.passed or proof.refined_feedback.passed
-    failures = proof.your_file.failures
-    goal_failures = [one for one in failures if one.name.startswith("replayed")]
-    pushed = any(one.name == "unknown_contacts" for one in failures)  # these contacts move the end, too
-    if pushed or not followed or not goal_failures or not proof.goal.passed:
-        return []
-    values = {"ignored": ", ".join(ignored), "missed": str(goal_failures[0])}
-    return [fix(problem, "ignore", [], "ignored_matters", **values)]

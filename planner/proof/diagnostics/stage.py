@@ -73,17 +73,6 @@ def contacts_differ(plan: Plan, problem: Problem, proof: Proof | None) -> list[S
     return [no_fix("goal", "contacts_differ", **found._asdict())]
 
 
-def clamped_between(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """Half the stage, where all that fails is that forces which servos or gains add within a stage are clamped."""
-    if proof is None or not proof.refined_feedback.passed or not (proof.plan.passed and proof.goal.passed):
-        return []
-    if [one.name for one in proof.your_file.failures] != ["clamped_actuators"]:
-        return []
-    dt = problem.dynamics.dt
-    value = rounded_step(problem.duration, 0.5 * dt)
-    return [fix(problem, "dt", value, "clamped_in_stage", dt=Quantity(dt, "s"))]
-
-
 def rates_at_start(problem: Problem) -> np.ndarray:
     """Eigenvalues of the dynamics linearized at the start, 1/s, complex; infinite if there are none.
 

@@ -51,12 +51,9 @@ SENTENCES = {
     "goal_collides": "in the goal itself {pair} overlap by {depth:.2g}; with it another pose of the goal is sought",
     "goal_collides_anyhow": "Another `goal` is needed: in the goal itself {pair} overlap by {depth:.2g}.",
     "no_way_around": "No way without collisions from the start to the pose of the goal was found, with {samples} "
-    "random poses for joints within their ranges: another `goal` or `start` is needed, or less in the way.",
-    "closer_way": "no way was found that keeps {clearance} from everything, and with less there is one",
-    "path_collides_straight_free": "{pair} collide on the way, and the straight path from start to goal is free; only "
-    "effort costs something on the way",
-    "path_collides": "{pair} collide on the way, on the straight path too; with it a collision-free path is planned",
-    "path_collides_anyhow": "{pair} collide on the way, on the straight path too: plan to a `goal` in between, and on "
+    "random poses for joints within their ranges: another `goal` or `start`, a smaller clearance or less in the way.",
+    "path_collides": "{pair} collide on the way; with it a collision-free path is planned",
+    "path_collides_anyhow": "{pair} collide on the way: plan to a `goal` in between, and on "
     "from there.",
     # Force and time
     "too_little_force": "in {duration} {actuator} needs {needed} of {limit}",
@@ -88,14 +85,12 @@ SENTENCES = {
     "equality_gives_too_much": "The equalities of your file give: they are springs of {rate:.3g} rad/s there, and "
     'exact in the plan. At a step of {step:.3g} MuJoCo takes none stiffer than solref="{time:.2g} 1", which still '
     "give more than passes: move more slowly, or write a shorter timestep in the file.",
-    "excursion": "{joint} swings {excess:.3g} beyond both start and goal; only effort costs something on the way",
     # Goals and weights
     "goal_missed": "the plan ends {miss} from the goal of {goal}, and {tolerance} pass",
     "task_missed": "the plan is {miss} from {goal}, and {tolerance} pass",
     "untouched": "The plan never touches what is to be moved: begin with the machine at it, give the motion more time, "
     "or write a [[goal]] of the hand there at a time before.",
     "not_moved": "The solve found no motion that brings the machine nearer to its goal: write {advice}.",
-    "ignored_matters": "the plan leaves out {ignored}, and with it your file has {missed}",
     # The solve
     "rate_too_fast": "the fastest rate of the machine at its start is {rate:.3g} per s, {per_stage:.3g} times in a "
     "stage",
@@ -124,8 +119,6 @@ SENTENCES = {
     "first_order": "with {integrator} plan and MuJoCo differ by {share} what passes, an error of first order",
     "stage_too_long": "at {dt:.4g} plan and MuJoCo differ by {share} what passes, an error that falls with the power "
     "{order:.2g} of the stage",
-    "clamped_in_stage": "the plan keeps the limits of its actuators at the ends of its stages of {dt:.4g}, and not "
-    "within them",
 }  # fmt: skip
 
 TRIED = {

@@ -3,6 +3,8 @@
 The forces of actuators, springs, dampers, tendons and exponential torques are those of the mechanism from MuJoCo's
 compiler for the same text. Controls are constant over a stage, so each stage is integrated separately: within it the
 equation is smooth.
+
+Names map the joints of two engines. No dynamics are changed; all changes of the text are reported.
 """
 
 from __future__ import annotations
