@@ -1,7 +1,7 @@
 """Coefficients of a contact, a stop or the hopper's ground in MuJoCo and in the plan, and by what they are judged.
 
-Of the hopper, forces are per mass of the machine, in/s^2, lengths in inches, as in the paper. The plan's leg has no foot; MuJoCo's
-foot penetrates its ground a little. So the foot's height is solved for zero vertical acceleration.
+Of the hopper, forces are per mass of the machine, in/s^2, lengths in inches, as in the paper. The plan's leg has no
+foot; MuJoCo's foot penetrates its ground a little. So the foot's height is solved for zero vertical acceleration.
 """
 
 from __future__ import annotations
