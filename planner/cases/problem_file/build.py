@@ -74,13 +74,7 @@ from planner.cases.problem_file.feasibility_checks import (
     check_momentum,
     deep_at_start,
 )
-from planner.cases.problem_file.ground_placement import (
-    at_rest_on_stops,
-    off_stops,
-    place_on_ground,
-    stance_ramp,
-    with_ramp,
-)
+from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
 from planner.cases.problem_file.keys import DEFAULTS, KEYS, RESOLVED, TABLES, VALUES
 from planner.cases.problem_file.machine import folders_of, lands, machine_of, prescribed_of
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
@@ -88,6 +82,7 @@ from planner.cases.problem_file.resolved_defaults import with_resolved
 from planner.cases.problem_file.solving import ProblemFile
 from planner.cases.problem_file.states import state_of, states_of
 from planner.cases.problem_file.step import with_step
+from planner.cases.problem_file.stops import at_rest_on_stops, off_stops
 from planner.cases.problem_file.table import checked_values, tables_of_joints, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
     check_task_departure,

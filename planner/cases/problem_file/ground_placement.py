@@ -1,7 +1,6 @@
-"""Start and goal of a problem file at the stops of joints, and on the ground.
+"""Start and goal of a problem file on the ground: for settle = true, or where settle = "auto" finds that they stand.
 
-On the ground for settle = true, or where settle = "auto" finds that they stand. And how far its contacts are smoothed
-for a motion on feet that stay.
+And how far its contacts are smoothed for a motion on feet that stay.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.keys import RAMP, RESOLVED
 from planner.cases.problem_file.states import state_of
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.rest_on_stops import rest_on_stops
 from planner.dynamics.statics import (
     NEAR_GROUND,
     feet_move,
@@ -26,11 +24,9 @@ from planner.dynamics.statics import (
     static_equilibrium,
     stays_in_air,
 )
-from planner.model.capabilities import stands_on_ground
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.contact_mode import STANDING
-from planner.problem.joint_limits import moved_inside_limits
 from planner.problem.tasks.goal import Goal, json_value
 
 STANCE_RAMP = 6e-5
@@ -153,40 +149,3 @@ def _lower_to_ground(name: str, x: np.ndarray, mechanism: Mechanism) -> tuple[np
     way = float(np.abs(mechanism.space.difference(there, x)).max())
     said = f"{name} is put on the ground, {way:.2g} m or rad from what was asked; settle = false leaves it there."
     return there, said if way > NEAR_GROUND else ""
-
-
-def off_stops(
-    mechanism: Mechanism, table: dict[str, Any], x0: np.ndarray, goal: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Start and goal off the stops whose ranges hold, and sentences about it."""
-    kept = (table.get("limits") or {}).get("position")
-    if stands_on_ground(mechanism) or not (kept == "model" or isinstance(kept, dict)):  # what stands has been put down
-        return x0, goal, ()
-    limited = kept if isinstance(kept, dict) else {}
-    (x0, first), (goal, second) = (
-        moved_inside_limits(mechanism, what, x, limited) for what, x in (("start", x0), ("goal", goal))
-    )
-    return x0, goal, tuple(filter(None, (first, second)))
-
-
-def at_rest_on_stops(
-    mechanism: Mechanism, table: dict[str, Any], x0: np.ndarray, goal: np.ndarray, notes: dict[str, str]
-) -> tuple[np.ndarray, np.ndarray, dict[str, str]]:
-    """Start and goal (nx,) with closed chains at rest on the stops that they lean on, and the notes with one of each.
-
-    A chain of whose undriven joints the table names one stays where that is asked for.
-    """
-    found = []
-    for name, x in (("start", x0), ("goal", goal)):
-        moves = bool(np.any(x[mechanism.velocities]))
-        asked = table.get(name)
-        names = asked if isinstance(asked, dict) else {}
-        given = {dof for joint in names for dof in range(*mechanism.joint(joint).indices(mechanism.nv))}
-        found.append(x if moves else rest_on_stops(mechanism, x, given))
-        change = mechanism.space.difference(found[-1], x)[: mechanism.nv]
-        if np.abs(change).max() > SAME_POSE_TOLERANCE:
-            i = int(np.argmax(np.abs(change)))
-            far = f"{abs(change[i]):.2g} rad or m"
-            said = f"{mechanism.joint_of(i)} of the {name} goes {far} to where its closed chain leans on a stop."
-            notes = notes | {name: f"{notes.get(name, '')} {said}".strip()}
-    return found[0], found[1], notes
