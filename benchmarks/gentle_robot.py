@@ -15,8 +15,7 @@ import planner
 from planner.cases.human_step.case import Phase, human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import judge_tracking, measures, robot
-from planner.cases.human_step.phase import SWING, GaitPhase
-from planner.cases.human_step.walker import SIDES, Walker
+from planner.cases.human_step.walker import SIDES, SWING, GaitPhase, Walker
 
 WAYS: dict[str, dict[str, Any]] = {
     "`--effort 1`, the default": {},

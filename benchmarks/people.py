@@ -22,10 +22,9 @@ from planner.base.executors import ordered_map
 from planner.cases.human_step.case import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import CLEAR, judge_tracking, measures
-from planner.cases.human_step.phase import SWING, GaitPhase
-from planner.cases.human_step.walker import SIDES, Walker
+from planner.cases.human_step.walker import SIDES, SWING, GaitPhase, Walker
 from planner.proof.replays.replaying import replay
-from planner.sweeps.executors import executor_of
+from planner.sweeps.processes import executor_of
 
 BOX = {"mass": (45.0, 110.0), "height": (1.50, 1.95), "cycle_time": (1.0, 1.8)}  # kg, m, s
 SEED, MOST = 2026, 60

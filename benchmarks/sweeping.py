@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import planner
 from planner.base.executors import width_of
-from planner.sweeps.executors import executor_of
+from planner.sweeps.processes import executor_of
 
 TWICE, QUIET = 1.7, 0.5  # times one; the load above which walls say little
 
@@ -145,7 +145,7 @@ def _run(plans: int, workers: int, dask: bool) -> Run:
 def _executor(workers: int, dask: bool) -> Any:
     if not dask:
         return executor_of(workers, None)
-    from planner.sweeps.executors import dask_executor
+    from planner.sweeps.processes import dask_executor
 
     return dask_executor("local", workers)
 

@@ -39,8 +39,16 @@ from planner.problem.export import names_of_states
 from planner.problem.initial_guess import inverse_dynamics_controls
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.problem.recorded_columns import control_columns, other_columns, position_columns
-from planner.problem.recording import POSITION, STEPS_PER_ROW, TIME, Recording, read_recording
+from planner.problem.recording import (
+    POSITION,
+    STEPS_PER_ROW,
+    TIME,
+    Recording,
+    control_columns,
+    other_columns,
+    position_columns,
+    read_recording,
+)
 from planner.proof.error_propagation import propagate_errors
 from planner.proof.replays.replaying import Replay
 from planner.solvers import lq

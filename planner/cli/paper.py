@@ -21,7 +21,7 @@ from planner.cli.console import Console
 from planner.paper.studies.page import STUDIES, Finished, Store, chosen, complete, page, run_studies, table_rows
 from planner.paper.studies.proof_table import proofs, proofs_markdown
 from planner.paper.studies.study import Study
-from planner.sweeps.executors import executor_of
+from planner.sweeps.processes import executor_of
 
 PAGE, NUMBERS = "paper-results.md", "paper-results.json"
 

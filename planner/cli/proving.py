@@ -38,7 +38,7 @@ from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import replay_rollout
 from planner.proof.robustness.success import end_errors
-from planner.sweeps.executors import executor_of
+from planner.sweeps.processes import executor_of
 from planner.sweeps.regression import check
 from planner.sweeps.stored_model import stated
 

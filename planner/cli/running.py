@@ -47,12 +47,11 @@ from planner.proof.diagnostics import suggested_fixes
 from planner.proof.goal_regulator import hold_gain
 from planner.proof.repair import Repaired, Step, Tools, repair
 from planner.proof.repair.clearance import ClearanceRefinement
+from planner.proof.repair.continued import Resumption, SaddleStep
 from planner.proof.repair.fixes import FixTrial
 from planner.proof.repair.refinement import Refined, Refinement
-from planner.proof.repair.resumption import Resumption
-from planner.proof.repair.saddle import SaddleStep
 from planner.solvers.work import DEFAULT_WORK, WorkBudget, work_of_proof
-from planner.sweeps.executors import executor_of
+from planner.sweeps.processes import executor_of
 
 MARK = ".planner-unfinished.json"
 ROLLOUTS = ".planner-rollouts.npz"  # finished rollouts of a Monte Carlo

@@ -27,7 +27,7 @@ from planner.problem.problem_parts import checked_durations, durations_or_defaul
 from planner.solvers.options import MAX_STARTS
 from planner.solvers.slq import solve
 from planner.solvers.work import WorkBudget, work_of_stage
-from planner.sweeps.executors import executor_of
+from planner.sweeps.processes import executor_of
 
 if TYPE_CHECKING:
     from planner.proof.diagnostics import SuggestedFix

@@ -1,6 +1,6 @@
 """Loop closures: closure error, Jacobian and constrained accelerations of one state, constraint forces along a plan.
 
-The first three are a reference implementation of kernels.tree.loop_accelerations with the recursions of Fig. 2
+The first three are a reference implementation of kernels.tree.rounds with the recursions of Fig. 2
 (planner.dynamics.product_of_exponentials) and the equations of planner.model.couplings. It is analytic: q, qd and tau
 may be complex. Rows are those of the loops in order, then of the polynomial couplings.
 

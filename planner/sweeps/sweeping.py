@@ -31,9 +31,8 @@ from planner.problem.limits import Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.solvers.options import HESSIANS, LINE_SEARCHES, MAX_STARTS, UPDATES
-from planner.sweeps.executors import MAX_WORKERS
 from planner.sweeps.grid import Grid, check_names, grid_of
-from planner.sweeps.processes import LocalProcesses
+from planner.sweeps.processes import MAX_WORKERS, LocalProcesses
 from planner.sweeps.running import ContinuationChains, IndependentTasks, Queue, run
 from planner.sweeps.store import FORMAT, HEAD, TIMES, Store, read_head
 from planner.sweeps.work import LOST, TIMEOUT, Work, check_buildable, known_parameters, source_of, warm

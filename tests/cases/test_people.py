@@ -6,8 +6,7 @@ import pytest
 
 from planner.cases.human_step.cost import FASTER, SLOWER, USUAL, step_tolerances
 from planner.cases.human_step.gait import NORMAL_GAIT
-from planner.cases.human_step.phase import GaitPhase
-from planner.cases.human_step.walker import Walker
+from planner.cases.human_step.walker import GaitPhase, Walker
 
 
 @pytest.mark.slow

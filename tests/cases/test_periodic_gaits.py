@@ -21,7 +21,7 @@ from planner.problem.tasks.cycle import Cycle, cycle_motion, cycle_of
 from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.mirror import UNLIKE, asymmetry, mirror_of
 from planner.proof.diagnostics import suggested_fixes
-from planner.proof.diagnostics.cycles import cycle_not_found, failing_cycle
+from planner.proof.diagnostics.stage import cycle_not_found, failing_cycle
 from planner.solvers.phase_times import PhaseTimes
 
 SCENE = ROOT / "mjcf" / "quadruped" / "scene.xml"

@@ -11,8 +11,7 @@ from planner.base.errors import PlannerError
 from planner.cases import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import measures
-from planner.cases.human_step.phase import GaitPhase
-from planner.cases.human_step.walker import BRACES, CURVED, PASSIVE, SIDES, SIGNS, TERMS, Walker
+from planner.cases.human_step.walker import BRACES, CURVED, PASSIVE, SIDES, SIGNS, TERMS, GaitPhase, Walker
 from planner.dynamics.contacts import generalized_forces
 
 WALKER = Walker(legs=("right",), belt=False, passive="riener-edrich")

@@ -19,7 +19,7 @@ from planner.base.errors import ModelError, PlannerError
 from planner.contact import ExponentialTorque
 from planner.dynamics.algorithms import forward_dynamics
 from planner.dynamics.contacts import generalized_forces
-from planner.kernels.tree import joint_curves as kernels
+from planner.kernels.tree import passive_forces as kernels
 from planner.model import passive_forces
 from planner.model.mjcf.model_index import compile_model
 from planner.proof.replays.compiled_twin import CompiledTwin

@@ -120,23 +120,15 @@ GAP = """<mujoco><option gravity="0 0 0"/><worldbody><geom name="up" type="box" 
   </worldbody><actuator><motor joint="x"/><motor joint="y"/></actuator></mujoco>"""
 
 
-@pytest.mark.parametrize(
-    ("clearance", "found"), [("", 0.004), (", clearance = 0.03", 0.003), (", clearance = 0.1", None)]
-)
-def test_a_gap_that_only_the_clearance_closes_is_said(tmp_path, monkeypatch, clearance, found):
+def test_a_gap_that_the_clearance_closes_has_no_way_through(tmp_path, monkeypatch):
     own = CollisionChecker._search
     monkeypatch.setattr(CollisionChecker, "_search", lambda self, *ends: own(self, *ends[:3], min(20, ends[3])))
     (tmp_path / "gap.xml").write_text(GAP, encoding="utf-8")
     lines = ('model = "gap.xml"', "start = { x = -0.6 }", "goal = { x = 0.6, y = 0 }", "duration = 2.0", "dt = 0.05")
-    (tmp_path / "problem.toml").write_text("\n".join([*lines, f"avoid = {{ self = false{clearance} }}"]))
+    (tmp_path / "problem.toml").write_text("\n".join([*lines, "avoid = { self = false }"]))
     problem = planner.load_problem(tmp_path / "problem.toml")
     plan = planner.solve(problem, options=planner.SolverOptions(homotopy=False))
-    first = suggested_fixes(plan)[0]
-    assert (first.value, first.code) == (found, "no_way_around" if found is None else "closer_way")
-    if found is not None:
-        table = first.applied(problem.parameters)
-        assert table["avoid"] == problem.parameters["avoid"] | {"clearance": found}
-        assert table["avoid"]["self"] is False
+    assert [one.code for one in suggested_fixes(plan)] == ["no_way_around"]
 
 
 def test_no_way_is_only_said_where_neither_search_finds_one(monkeypatch):

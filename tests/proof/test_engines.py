@@ -217,7 +217,7 @@ def test_no_file_outside_of_the_folder_is_written_or_read(monkeypatch, tmp_path)
     plan = swinging(2)
     mesh = '<asset><mesh name="m" file="../m.obj" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
     text = plan.twin.mjcf.replace("<worldbody>", f"{mesh}<worldbody>", 1)
-    from planner.proof.engines.text import prepared
+    from planner.proof.engines.motion import prepared
 
     with pytest.raises(planner.ModelError, match="does not hold"):
         prepared(replace(plan.twin, mjcf=text), section.CompiledTwin(plan.twin).model, tmp_path)

@@ -6,7 +6,7 @@ import pytest
 
 import planner
 from planner import Status
-from planner.proof.repair.resumption import resumed
+from planner.proof.repair.continued import resumed
 from planner.solvers.work import WorkBudget, work_of_stage
 
 

@@ -14,7 +14,7 @@ import planner
 from planner import FunctionDynamics, Problem, TrackingCost
 from planner.dynamics.quasi_static import quasi_static_controls
 from planner.proof.consistency import optimality, recomputed
-from planner.proof.repair.saddle import leave_saddles
+from planner.proof.repair.continued import leave_saddles
 from planner.solvers.work import WorkBudget
 
 

@@ -19,8 +19,7 @@ from planner.base.executors import ordered_map
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness import monte_carlo
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
-from planner.sweeps.executors import executor_of
-from planner.sweeps.processes import LocalProcesses
+from planner.sweeps.processes import LocalProcesses, executor_of
 from planner.sweeps.regression import check, stored_proof
 from planner.sweeps.sweeping import sweep
 

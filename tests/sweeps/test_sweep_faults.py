@@ -15,7 +15,7 @@ from troubled_problems import mortal, slow, troubled
 
 import planner
 from planner.sweeps import processes, running
-from planner.sweeps.executors import dask_executor
+from planner.sweeps.processes import dask_executor
 from planner.sweeps.store import TIMES, plan_place
 from planner.sweeps.sweeping import sweep
 
@@ -127,7 +127,7 @@ def test_processes_and_dask_give_the_same_table(tmp_path):
 
 def test_an_address_where_nobody_answers_is_a_sentence(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("planner.sweeps.executors.CONNECTING", 0.5)
+    monkeypatch.setattr("planner.sweeps.processes.CONNECTING", 0.5)
     for address in ("tcp://127.0.0.1:1", "nonsense://"):
         with pytest.raises(planner.PlannerError, match=f"no Dask scheduler answers at {address}"):
             dask_executor(address).__enter__()

@@ -45,9 +45,8 @@ from planner.cases.human_step.cost import StepTolerances, step_cost, step_tolera
 from planner.cases.human_step.gait import NORMAL_GAIT, Gait
 from planner.cases.human_step.gait_file import read_gait
 from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step, judge_tracking, robot_wrench
-from planner.cases.human_step.phase import SWING, GaitPhase
 from planner.cases.human_step.pictures import step_pictures
-from planner.cases.human_step.walker import FILE_MASS, PELVIS, SIDES, Walker
+from planner.cases.human_step.walker import FILE_MASS, PELVIS, SIDES, SWING, GaitPhase, Walker
 from planner.dynamics import INTEGRATORS, RigidBodyDynamics
 from planner.dynamics.protocol import rollout_states
 from planner.problem.appearance import Appearance, Ghost, Panel, Readout, View

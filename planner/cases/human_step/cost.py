@@ -28,8 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.cases.human_step.phase import SWING, GaitPhase
-from planner.cases.human_step.walker import PELVIS
+from planner.cases.human_step.walker import PELVIS, SWING, GaitPhase
 from planner.dynamics import RigidBodyDynamics
 from planner.problem.costs.least_squares import PenaltyCost
 from planner.problem.costs.penalty_terms import Distance, Height, Point, Segment, Velocity

@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.base.measured import Measurement, Section
-from planner.cases.human_step.phase import SWING, GaitPhase
-from planner.cases.human_step.walker import IMPRATIO, LEG, PELVIS
+from planner.cases.human_step.walker import IMPRATIO, LEG, PELVIS, SWING, GaitPhase
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.algorithms import rnea
 from planner.dynamics.contacts import contact_forces, generalized_forces

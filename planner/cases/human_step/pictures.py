@@ -13,8 +13,7 @@ import numpy as np
 
 from planner.cases.human_step.gait import COLUMNS
 from planner.cases.human_step.measures import height, normal_height, robot_wrench, vertical_force
-from planner.cases.human_step.phase import SWING, GaitPhase
-from planner.cases.human_step.walker import LEG, PELVIS
+from planner.cases.human_step.walker import LEG, PELVIS, SWING, GaitPhase
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.kinematics import frame_pose
 from planner.problem.appearance import (

@@ -13,8 +13,7 @@ from planner.kernels.algebra.tiles import four_rows, mirror, weighted_rows
 from planner.kernels.lq.defects import add_defect, step_with_defect
 from planner.kernels.lq.quadratic import add_weights
 from planner.kernels.lq.second_order import add_second
-from planner.kernels.lq.stage_hessian import dense_stage, structured_stage
-from planner.kernels.lq.stage_with_rates import stage_with_rates
+from planner.kernels.lq.stage_hessian import dense_stage, stage_with_rates, structured_stage
 from planner.kernels.lq.workspace import W
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import WIDTH, at, floats, integers, load, load4, pointer, spread, store, store4

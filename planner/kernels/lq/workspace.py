@@ -47,7 +47,7 @@ class Workspace:
         servos: A planner.problem.control_bounds.Servos, or None.
         outputs: How many of the last components of x only costs see: no later state depends on them, and a weight of
             one is on no other. The sweep of a dense F leaves their zeros out. A structured one has the rates of the
-            last accelerations, x = (q, v, a, r), whose rows are not in F (see kernels.lq.stage_with_rates).
+            last accelerations, x = (q, v, a, r), whose rows are not in F (see kernels.lq.stage_hessian).
 
     Attributes:
         table: The argument of kernels.

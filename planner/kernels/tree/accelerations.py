@@ -8,12 +8,10 @@ from planner.kernels.numba.lanes import floats, lanes, load, store
 from planner.kernels.tree.actuator_laws import add_laws
 from planner.kernels.tree.actuator_wrenches import add_actuator_wrenches
 from planner.kernels.tree.contact import add_stops
-from planner.kernels.tree.fluid import add_drag
 from planner.kernels.tree.forces import applied_forces
-from planner.kernels.tree.gravity_compensation import add_compensation
-from planner.kernels.tree.joint_curves import add_curves
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.passive_forces import add_compensation, add_curves, add_drag, add_tendons
 from planner.kernels.tree.recursion import accelerate, move_links
 from planner.kernels.tree.rounds import (
     accelerate_in_rounds,
@@ -23,7 +21,6 @@ from planner.kernels.tree.rounds import (
     needs_rounds,
     own_armature,
 )
-from planner.kernels.tree.tendons import add_tendons
 
 
 @part

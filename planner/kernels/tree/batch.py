@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from planner.kernels.numba.jit import inline, jit
 from planner.kernels.numba.lanes import WIDTH, as_floats, at, doubles, floats, lanes, load, pointer, spread, store
-from planner.kernels.tree.fluid import add_drag, subtract_drag_derivatives
 from planner.kernels.tree.forces import add_passive, add_passive_derivatives
-from planner.kernels.tree.gravity_compensation import add_compensation, subtract_compensation_derivatives
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
+from planner.kernels.tree.passive_forces import (
+    add_compensation,
+    add_drag,
+    add_tendon_derivatives,
+    add_tendons,
+    subtract_compensation_derivatives,
+    subtract_drag_derivatives,
+)
 from planner.kernels.tree.recursion import RECORD, accelerate, inverse_dynamics, move_links, place_all
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives
 from planner.kernels.tree.step import gather, scatter
-from planner.kernels.tree.tendons import add_tendon_derivatives, add_tendons
 
 
 @inline

@@ -13,19 +13,21 @@ from planner.kernels.tree.actuator_laws import add_law_inputs, subtract_law_deri
 from planner.kernels.tree.actuator_wrenches import add_wrench_inputs, subtract_wrench_derivatives
 from planner.kernels.tree.contact import add_stop_derivatives, subtract_contact_derivatives
 from planner.kernels.tree.couplings import invert_coupled
-from planner.kernels.tree.fluid import subtract_drag_derivatives
 from planner.kernels.tree.forces import add_actuator_derivatives, add_passive_derivatives
-from planner.kernels.tree.gravity_compensation import subtract_compensation_derivatives
-from planner.kernels.tree.joint_curves import subtract_curve_derivatives
 from planner.kernels.tree.joint_rows import add_row_derivatives
 from planner.kernels.tree.loop_derivatives import close, close_derivatives, less_bound
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.memory import MEMORY
 from planner.kernels.tree.pair_contact import subtract_pair_derivatives
+from planner.kernels.tree.passive_forces import (
+    add_tendon_derivatives,
+    subtract_compensation_derivatives,
+    subtract_curve_derivatives,
+    subtract_drag_derivatives,
+)
 from planner.kernels.tree.rosenbrock import add_implicit
 from planner.kernels.tree.sensitivity import inverse_dynamics_derivatives, invert
 from planner.kernels.tree.soft_contact import subtract_soft_derivatives
-from planner.kernels.tree.tendons import add_tendon_derivatives
 
 
 @inline

@@ -16,9 +16,9 @@ from __future__ import annotations
 from planner.kernels.algebra.ramp import ramp
 from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, minimum, select, spread, store
-from planner.kernels.tree.joint_row_arrays import LOWER, ROW_SIZE, STOP_END, STOP_LAW, STOP_SIZE
-from planner.kernels.tree.lead_law import DAMPING, FORCE, LEAD, PER_FORCE, STIFFNESS, pressing
 from planner.kernels.tree.mechanism_table import TREE
+from planner.kernels.tree.passive_force_arrays import LOWER, ROW_SIZE, STOP_END, STOP_LAW, STOP_SIZE
+from planner.kernels.tree.soft_contact_law import DAMPING, FORCE, LEAD, PER_FORCE, STIFFNESS, pressing
 
 FRICTION_SMOOTHING = (
     0.08  # as in planner.dynamics.joint_forces; here too, because the cache's key covers the kernels' sources alone

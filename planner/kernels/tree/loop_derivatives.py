@@ -1,4 +1,4 @@
-"""Derivatives of the accelerations of a tree with closed chains (kernels.tree.loop_accelerations).
+"""Derivatives of the accelerations of a tree with closed chains (kernels.tree.rounds).
 
 For r1 = M qdd + h - tau - J'f and r2 = J qdd + Jdot qd + 2 rate phidot + rate^2 phi, with W and N as there,
 

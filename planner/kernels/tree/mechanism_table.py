@@ -21,9 +21,8 @@ from planner.kernels.numba.lanes import WIDTH
 from planner.kernels.numba.layout import Layout
 from planner.kernels.tree.actuator_arrays import actuator_arrays, law_arrays, motor_arrays, wrench_arrays
 from planner.kernels.tree.contact_tables import contact_arrays, pair_arrays, soft_arrays, stop_arrays
-from planner.kernels.tree.joint_row_arrays import joint_row_arrays
 from planner.kernels.tree.loop_arrays import loop_arrays, triples_of
-from planner.kernels.tree.passive_force_arrays import drag_arrays, gravcomp_arrays, tendon_arrays
+from planner.kernels.tree.passive_force_arrays import drag_arrays, gravcomp_arrays, joint_row_arrays, tendon_arrays
 from planner.model.contact.body_contact import common_carrier
 from planner.model.passive_forces import acting_tendons, implicit_damping
 

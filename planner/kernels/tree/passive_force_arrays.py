@@ -1,10 +1,12 @@
-"""The arrays of kernels.tree.mechanism_table for fixed tendons, gravity compensation and drag."""
+"""The arrays of kernels.tree.mechanism_table for tendons, gravity compensation, drag, friction loss and stops."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+
+from planner.kernels.tree.contact_tables import LEAD_LAW_SIZE, lead_numbers
 
 TENDON_SIZE, LIFTED_SIZE, DRAG_SIZE = 4, 4, 8  # numbers of a tendon, a link, a drag
 
@@ -45,3 +47,24 @@ def drag_arrays(drags: Any, frames: np.ndarray) -> dict[str, np.ndarray]:
         value[:3], value[3:6] = R.T @ (moment - np.cross(place, force)), R.T @ force
         value[6:] = drag.linear, drag.quadratic
     return {"drag_link": np.array([drag.link for drag in drags], dtype=np.int64), "drag_value": values}
+
+
+STOP_END, STOP_LAW, STOP_SIZE = 0, 1, 1 + LEAD_LAW_SIZE  # offsets in a stop's numbers, and how many there are
+LOWER, ROW_SIZE = 3, 3 + 2 * STOP_SIZE  # of a row: loss, inertia and rate of friction, the stops below and above
+
+
+def joint_row_arrays(mechanism: Any, losses: np.ndarray, stops: Any) -> dict[str, np.ndarray]:
+    """Per joint with friction loss or stops with a lead: its degree of freedom, and the numbers of both.
+
+    A stop's are where it begins and those of its law; a stiffness of 0 stands for none.
+    """
+    dofs = sorted({*map(int, np.flatnonzero(losses)), *(stop.dof for stop in stops)})
+    value = np.zeros((len(dofs), ROW_SIZE))
+    rubs = losses > 0.0
+    friction = np.column_stack([losses, *(rubs * x for x in (mechanism.friction_inertia, mechanism.friction_rate))])
+    value[:, :LOWER] = friction[dofs]
+    for stop in stops:
+        o = LOWER + STOP_SIZE * (stop.side > 0)
+        own = value[dofs.index(stop.dof), o : o + STOP_SIZE]
+        own[:] = stop.end - stop.side * stop.law.reach, *lead_numbers(stop.law)
+    return {"row_dof": np.array(dofs, dtype=np.int64), "row_value": value}

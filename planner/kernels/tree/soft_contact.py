@@ -36,19 +36,21 @@ from planner.kernels.numba.jit import inline, part
 from planner.kernels.numba.lane_math import sqrt
 from planner.kernels.numba.lanes import any_less, floats, integers, load, maximum, spread, store
 from planner.kernels.tree.contact_tables import SOFT_SIZE
-from planner.kernels.tree.lead_law import DAMPING, LEAD, STIFFNESS
 from planner.kernels.tree.mechanism_table import TREE
 from planner.kernels.tree.recursion import ARTICULATED, BIAS, CORIOLIS, PLACE, RECORD, SCREW_AXIS, TWIST
 from planner.kernels.tree.sensitivity import Y
 from planner.kernels.tree.soft_contact_law import (
     ARM,
     CENTRE,
+    DAMPING,
     LAW,
+    LEAD,
     LEVEL,
     MIN_FORCE,
     NORMAL,
     PER_LENGTH,
     ROOT,
+    STIFFNESS,
     SURFACE,
     slopes_times,
     soft_law,

@@ -20,7 +20,7 @@ from planner.base.arguments import first_of
 from planner.base.errors import ModelError
 from planner.model.mjcf.model_index import compile_model, pose
 from planner.model.mjcf.text import written
-from planner.model.urdf.robot import SCALAR, Inertial, Joint, Robot
+from planner.model.urdf.parse import SCALAR, Inertial, Joint, Robot
 from planner.model.urdf.shapes import GeomWriter, Packages
 
 MIN_MASS = 1e-14

@@ -24,10 +24,8 @@ from planner.model.mjcf.equalities import HARD
 from planner.model.mjcf.model_index import LEFT_OUT, VELOCITY_LIMIT
 from planner.model.mjcf.text import is_text, written
 from planner.model.urdf.masses import WATER, inertials, listed, missing_inertia, with_shape_inertias, without_idle
-from planner.model.urdf.overlaps import exclude_overlaps
-from planner.model.urdf.parse import robot_of
-from planner.model.urdf.robot import SCALAR, Inertial, Joint, Pose, Robot
-from planner.model.urdf.shapes import GeomWriter, Packages, packages_of, placed
+from planner.model.urdf.parse import SCALAR, Inertial, Joint, Pose, Robot, robot_of
+from planner.model.urdf.shapes import GeomWriter, Packages, exclude_overlaps, packages_of, placed
 
 _UNBOUNDED_RANGE = 1e10
 """rad or m, the end of a range that has only the other one."""

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.cases.human_step.phase import SWING
-from planner.cases.human_step.walker import SIDES
+from planner.cases.human_step.walker import SIDES, SWING
 from planner.paper.studies.step_run import (
     COEFFICIENTS,
     CYCLE_TIME,

@@ -23,8 +23,7 @@ from planner.cases.human_step.case import human_step
 from planner.cases.human_step.gait import NORMAL_GAIT
 from planner.cases.human_step.measures import Measures, measures, normal_height, robot_wrench, vertical_force
 from planner.cases.human_step.measures import height as height_of
-from planner.cases.human_step.phase import SWING, GaitPhase
-from planner.cases.human_step.walker import PELVIS, Walker
+from planner.cases.human_step.walker import PELVIS, SWING, GaitPhase, Walker
 from planner.dynamics.protocol import rollout_states
 from planner.paper.methods.spline_inputs import solve_by_splines
 from planner.paper.studies.study import descent_record, plan_record, timed

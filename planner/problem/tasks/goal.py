@@ -19,8 +19,7 @@ import numpy as np
 from planner.base.arguments import array, choice, did_you_mean, number, numbers, quaternion, short_repr, unit_vector
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import printable
-from planner.problem.recorded_columns import missing_position, other_columns, position_columns
-from planner.problem.recording import TIME, Recording, read_recording
+from planner.problem.recording import TIME, Recording, missing_position, other_columns, position_columns, read_recording
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 PARTS = ("position", "orientation", "pointing", "velocity")

@@ -37,6 +37,7 @@ from planner.problem.problem import Problem
 from planner.proof.compare.coefficients import (
     Coefficient,
     compared,
+    hopper_ground,
     measured_of,
     missing,
     surface_difference,
@@ -51,7 +52,6 @@ from planner.proof.compare.contact_states import (
     wrench_between,
 )
 from planner.proof.compare.differences import joint_of
-from planner.proof.compare.hopper_ground import hopper_ground
 from planner.proof.compare.rigid_parity import random_states
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.simulation import set_state

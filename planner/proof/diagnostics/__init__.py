@@ -1,8 +1,8 @@
 """suggested_fixes(): changes of the problem that will make a failed plan pass, with values computed from measurements.
 
 Each file detects one kind of cause and returns its fix; here they are in the order of causes before their effects: a
-weak motor makes the end miss its goal, a joint outside its range makes the replay differ. sentences.py has the text of
-every code.
+weak motor makes the end miss its goal, a joint outside its range makes the replay differ. suggested_fix.py has
+the text of every code.
 """
 
 from __future__ import annotations
@@ -10,11 +10,9 @@ from __future__ import annotations
 from planner.problem.plan import Plan, Status
 from planner.proof.diagnostics.avoid_contact import avoid_contact, no_way_around
 from planner.proof.diagnostics.balance import falling, gait_needed, jump_not_found, standing_goal
-from planner.proof.diagnostics.cycles import cycle_not_found, failing_cycle
 from planner.proof.diagnostics.effort import longer, more_time, passing_duration, too_little_thrust
 from planner.proof.diagnostics.goals import larger_weights, not_moved, stance_missed, untouched, without_ignored
-from planner.proof.diagnostics.limits import fixed_joints, wider_margin, within_limits
-from planner.proof.diagnostics.soft_equalities import soft_equalities
+from planner.proof.diagnostics.limits import fixed_joints, soft_equalities, wider_margin, within_limits
 from planner.proof.diagnostics.solving import (
     first_guess,
     more_iterations,
@@ -23,19 +21,23 @@ from planner.proof.diagnostics.solving import (
     other_guesses,
     other_model,
 )
-from planner.proof.diagnostics.stage import clamped_between, contacts_differ, shorter_stage, sparse_rows
+from planner.proof.diagnostics.stage import clamped_between, (
+    contacts_differ,
+    cycle_not_found,
+    failing_cycle,
+    shorter_stage,
+    sparse_rows,
+)
 from planner.proof.diagnostics.suggested_fix import SuggestedFix
-from planner.proof.diagnostics.velocity_weight import penalize_velocity
 from planner.proof.verdict import Proof
 
 __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 
 _CAUSES = (
     other_model, too_little_thrust, standing_goal, gait_needed, first_guess, jump_not_found, no_way_around,
-    avoid_contact, fixed_joints, untouched, not_moved, more_time, passing_duration, penalize_velocity, within_limits,
-    without_ignored, more_iterations, shorter_stage, clamped_between, wider_margin, larger_weights, stance_missed,
-    other_guesses, falling, contacts_differ, not_a_minimum,
-    soft_equalities,
+    avoid_contact, fixed_joints, untouched, not_moved, more_time, passing_duration, within_limits, without_ignored,
+    more_iterations, shorter_stage, clamped_between, wider_margin, larger_weights, stance_missed, other_guesses,
+    falling, contacts_differ, not_a_minimum, soft_equalities,
 )  # fmt: skip
 _OF_RECORDINGS = (other_model, sparse_rows, contacts_differ, soft_equalities)  # nobody chose weights or a duration
 _OF_CYCLES = (cycle_not_found, avoid_contact, fixed_joints, within_limits, more_iterations, failing_cycle)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,24 +17,22 @@ from planner.model.mjcf.initial_overlaps import TOUCH_ROUNDING, can_separate
 from planner.model.mjcf.model_index import ModelIndex, named
 from planner.model.mjcf.unmodelled_features import names_of
 from planner.problem.collision_free_path import MORE_SAMPLES, CollisionChecker, has_path_search
-from planner.problem.constraints.clearance import Avoid, PairClearance, pair_clearance_of
+from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file
-from planner.proof.diagnostics.velocity_weight import straightened
 from planner.proof.original_model import as_given, bodies_at_rest, goes_deeper
 from planner.proof.replays.compiled_twin import unmodelled_of
 from planner.proof.verdict import Proof
 
 CLEARANCE = 5e-3  # m, smallest clearance of a pair that counts as separable
 LANDED = 0.01  # m, the clearance that `avoid` asks for: what is to end nearer to the ground is to stand on it
-CLOSER = (0.1, 0.4)  # of the clearance: with the least a way is sought where there is none with the whole
-_POSES = 40  # number of poses on the straight path
+_POSES = 40  # number of a plan's poses, at most
 
 
 def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """A contact law for the ground, a collision-free path, or a straight one."""
+    """A contact law for the ground, or a collision-free path."""
     if proof is None or not any(one.name == "unknown_contacts" for one in proof.your_file.failures):
         return []
     mechanism, twin, cost = capabilities_of(problem.dynamics).mechanism, plan.twin, tracking_of(problem.cost)
@@ -74,16 +71,13 @@ def avoid_contact(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
         if first is None:
             return []
     pair = shapes.names(first)
-    straight_is_free = not any(shapes.depths(q) for q in shapes.straight(start, goal))
-    if straight_is_free and (found := straightened(problem, "path_collides_straight_free", pair=pair)):
-        return found
     if may_avoid:
         return [fix(problem, "avoid", {}, "path_collides", pair=pair)]
     return [no_fix("goal", "path_collides_anyhow", pair=pair)]
 
 
 def no_way_around(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """That no path to the pose of the goal keeps the clearance, as far as random poses tell; or a smaller."""
+    """That no path to the pose of the goal keeps the clearance, as far as random poses tell."""
     mechanism, cost = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
     apart = pair_clearance_of(problem.constraints)
     if plan.converged or mechanism is None or cost is None or apart is None or not has_path_search(mechanism):
@@ -95,24 +89,7 @@ def no_way_around(plan: Plan, problem: Problem, proof: Proof | None) -> list[Sug
     goal = cost.x_ref[-1, :nq]
     if checker.seek_path(problem.x0[:nq], goal) is not None:
         return []
-    return _closer_way(problem, apart, mechanism, goal) or [no_fix("goal", "no_way_around", samples=MORE_SAMPLES)]
-
-
-def _closer_way(
-    problem: Problem, apart: PairClearance, mechanism: Mechanism, goal: np.ndarray
-) -> list[SuggestedFix]:  # fmt: skip
-    """A smaller clearance of a file, with which a way is found."""
-    table, least = problem.parameters.get("avoid"), []
-    if not of_file(problem) or not isinstance(table, dict):
-        return []
-    own = float(table.get("clearance", Avoid.clearance))
-    for share in CLOSER:
-        pairs = [one._replace(required_clearance=min(one.required_clearance, share * own)) for one in apart.pairs]
-        checker = CollisionChecker(replace(apart, pairs=tuple(pairs)), mechanism).without_extra
-        if checker.find_path(problem.x0[: mechanism.nq], goal) is None:
-            break
-        least.append(fix(problem, "avoid.clearance", share * own, "closer_way", clearance=Quantity(own, "m")))
-    return least[-1:]
+    return [no_fix("goal", "no_way_around", samples=MORE_SAMPLES)]
 
 
 def _may_land(problem: Problem) -> bool:
@@ -225,13 +202,3 @@ class _Shapes:
     def depths(self, q: np.ndarray) -> dict[tuple[int, int], float]:
         """The same without pairs in contact at the start."""
         return {pair: depth for pair, depth in self.touching(q).items() if pair not in self.at_start}
-
-    def straight(self, start: np.ndarray, goal: np.ndarray) -> list[np.ndarray]:
-        """Poses on the straight line from start to goal in joint space."""
-        displacement, poses = np.empty(self.model.nv), []
-        self._mujoco.mj_differentiatePos(self.model, displacement, 1.0, start, goal)
-        for part in np.linspace(0.0, 1.0, _POSES + 1):
-            pose = start.copy()
-            self._mujoco.mj_integratePos(self.model, pose, displacement, part)
-            poses.append(pose)
-        return poses

@@ -1,4 +1,4 @@
-"""Diagnose a stage that is too long: the error of the plan's step, or clamps that act within a stage."""
+"""Diagnose a stage that is too long: the error of the plan's step, or a cycle that is not found or not followed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from planner.base.measured import Quantity
 from planner.dynamics.protocol import integrator_of
-from planner.problem.plan import Plan
+from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.recording import STEPS_PER_ROW
 from planner.proof.contact_errors import contact_error
-from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix
+from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file
 from planner.proof.error_propagation import FACTOR
 from planner.proof.verdict import Proof
 
@@ -128,3 +128,21 @@ def _cost_share(proof: Proof) -> float:
     """The largest error of the cost over its bound, with the gains."""
     return max((one.value / one.bound for one in proof.refined_feedback.measured
                 if one.name == "cost_error" and one.bound), default=0.0)  # fmt: skip
+
+
+def cycle_not_found(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """Of a solve that ended without a cycle what may be asked for instead: what its plan touches is no cause."""
+    ended = not plan.converged and not plan.status.cut
+    return failing_cycle(plan, problem, proof) if ended else []
+
+
+def failing_cycle(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """Half the stage for a cycle that stages do not resolve; else what may be asked for instead."""
+    if not of_file(problem) or problem.periodic is None:
+        return []
+    dt, table = problem.dynamics.dt, problem.parameters["periodic"]
+    if plan.status is Status.UNRESOLVED:
+        return [fix(problem, "dt", rounded_step(problem.duration, 0.5 * dt), "cycle_unresolved", dt=Quantity(dt, "s"))]
+    travel = Quantity(float(np.linalg.norm(table.get("travel", 0.0))), "m")
+    code = "cycle_not_followed" if plan.converged else "cycle_not_found"
+    return [no_fix("periodic", code, travel=travel, duration=Quantity(problem.parameters["duration"], "s"))]

@@ -20,8 +20,7 @@ import numpy as np
 from planner.base.errors import ModelError
 from planner.dynamics.product_of_exponentials import rotation
 from planner.model.mechanism import Mechanism
-from planner.proof.engines.motion import joints_with
-from planner.proof.engines.text import Prepared
+from planner.proof.engines.motion import Prepared, joints_with
 
 NEEDS = "drake==1.51.1"
 

@@ -15,8 +15,7 @@ from planner.base.errors import ModelError
 from planner.dynamics.product_of_exponentials import rotation
 from planner.model.mechanism import Mechanism
 from planner.model.space import cross
-from planner.proof.engines.motion import joints_with
-from planner.proof.engines.text import Prepared
+from planner.proof.engines.motion import Prepared, joints_with
 
 NEEDS = "pin==4.0.0 libpinocchio==4.0.0"
 

@@ -27,8 +27,7 @@ from planner.model.twin import Twin
 from planner.problem.plan import Plan
 from planner.proof.compare.rigid_parity import random_states, rounded
 from planner.proof.engines import ENGINES, drake, pinocchio
-from planner.proof.engines.motion import PARTS, Applied, Rates, joints_with, motion
-from planner.proof.engines.text import Prepared, prepared
+from planner.proof.engines.motion import PARTS, Applied, Prepared, Rates, joints_with, motion, prepared
 from planner.proof.error_scales import by_unit
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch

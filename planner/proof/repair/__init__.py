@@ -1,8 +1,8 @@
 """repair(): try to make a plan pass, in this order, until it passes or the work budget is exhausted.
 
-    1. going on            with a solve that its share of the work has cut: resumption.py
+    1. going on            with a solve that its share of the work has cut: continued.py
     2. finer steps         RK4 in place of Euler, half the stage: refinement.py
-    3. saddles             a stationary point that is no minimum is left along its lowest curvature: saddle.py
+    3. saddles             a stationary point that is no minimum is left along its lowest curvature: continued.py
     4. suggested fixes     of how the motion is computed, with finer steps where only these are then wrong; the first
                            that passes is applied. Then those that change the motion itself, which are only reported:
                            fixes.py
@@ -23,10 +23,9 @@ from planner.problem.problem import Problem
 from planner.proof.diagnostics import SuggestedFix, standing_goal, suggested_fixes
 from planner.proof.diagnostics.suggested_fix import of_file
 from planner.proof.repair.clearance import ClearanceRefinement, refine_clearance
+from planner.proof.repair.continued import Resumption, SaddleStep, leave_saddles, resumed
 from planner.proof.repair.fixes import FixTrial, FixTrials, Solve
 from planner.proof.repair.refinement import Refined, Refinement, refine
-from planner.proof.repair.resumption import Resumption, resumed
-from planner.proof.repair.saddle import SaddleStep, leave_saddles
 from planner.proof.verdict import Proof
 from planner.solvers.work import DEFAULT_WORK, WorkBudget
 
