@@ -21,7 +21,8 @@ from planner.proof.diagnostics.solving import (
     other_guesses,
     other_model,
 )
-from planner.proof.diagnostics.stage import clamped_between, (
+from planner.proof.diagnostics.stage import (
+    clamped_between,
     contacts_differ,
     cycle_not_found,
     failing_cycle,
