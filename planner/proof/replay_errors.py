@@ -16,7 +16,6 @@ from planner.base.measured import Measurement, Section
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import GoalCheck, goals_of, terms_of
 from planner.problem.problem import Problem
-from planner.problem.tasks.stances import LARGEST_SHARE, worst_stance
 from planner.proof.error_scales import (
     COST_BOUND,
     SHARE,
@@ -32,7 +31,6 @@ from planner.proof.error_scales import (
 )
 from planner.proof.replays.replaying import Replay
 
-STANCE_MISS = "planned_stance_miss"
 _NO_RANGES = "of joints, controls and forces: a plan knows none, MuJoCo holds them"
 
 
@@ -102,21 +100,12 @@ def goal(run: Replay, problem: Problem) -> Section:
     """Judge the plan and its replay by every goal of the cost or task, at its time, or by the machine's own rule."""
     if problem.requirements is not None and problem.requirements.goal is not None:
         return problem.requirements.goal(run)
-    goals, stances = goals_of(problem, run.plan.xs), _stances(run, problem)
-    if not goals and not stances and problem.periodic is None:
+    goals = goals_of(problem, run.plan.xs)
+    if not goals and problem.periodic is None:
         return Section("goal", not_applicable="no goal was asked for")
     motions = {"planned": (run.t, run.plan_xs), "replayed": (run.t, run.xs)}
     errors = [one for who, motion in motions.items() for one in misses(who, *motion, goals)]
-    return Section("goal", (*errors, *_return(run, problem), *stances))
-
-
-def _stances(run: Replay, problem: Problem) -> tuple[Measurement, ...]:
-    """What the plan's feet keep least of the phases; MuJoCo's path is judged beside the plan's."""
-    found = worst_stance(problem, run.plan.t, run.plan.xs)
-    if found is None:
-        return ()
-    note = f"of the knots from {found.begin:.3g} to {found.end:.3g} s, in which {found.foot} is to {found.asked}"
-    return (Measurement(STANCE_MISS, 100.0 * found.share, "%", 100.0 * LARGEST_SHARE, note),)
+    return Section("goal", (*errors, *_return(run, problem)))
 
 
 def _return(run: Replay, problem: Problem) -> tuple[Measurement, ...]:

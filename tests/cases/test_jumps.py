@@ -10,14 +10,10 @@ from planner.cases.problem_file import load
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import center_of_mass
 from planner.dynamics.protocol import rollout_states
-from planner.problem.tasks import gait
 from planner.problem.tasks.flight import phases_of_jumps
 from planner.problem.tasks.gait import gait_of
 from planner.problem.tasks.jump import _at_speed, flights_of, height_above_legs, jumping
 from planner.problem.tasks.legs import points_of_feet, standing_feet
-from planner.problem.touch_downs import standing
-from planner.proof.diagnostics import suggested_fixes
-from planner.proof.replay_errors import STANCE_MISS
 
 # A trunk of 3 kg on a vertical rail, and a leg of two links of 0.25 m, of which motors drive both hinges.
 LEG = """<mujoco><compiler angle="radian"/><worldbody><geom type="plane" size="0 0 1"/>
@@ -228,49 +224,3 @@ def test_who_says_how_to_begin_gets_it(tmp_path):
     held = problem_of(tmp_path, 'guess = "hold"\n' + THROUGH + GOAL)
     assert held.us is not None
     assert np.ptp(held.us, axis=0).max() == 0.0
-
-
-PHASES = """
-[[phase]]
-until = 0.5
-stand = ["shank"]
-[[phase]]
-until = 0.75
-stand = []
-[[phase]]
-stand = ["shank"]
-"""
-
-
-@pytest.fixture(scope="module")
-def hop(tmp_path_factory):
-    """In place, and nothing but the phases says that it is in the air."""
-    return problem_of(tmp_path_factory.mktemp("hop"), GOAL + PHASES)
-
-
-def test_a_phase_without_feet_is_a_parabola_from_the_height_of_standing(hop):
-    m, rows, dt = hop.dynamics.mechanism, hop.cost.x_ref, hop.dynamics.dt
-    z = center_of_mass(m, rows[:, :3])[:, 2]
-    a, b = round(0.5 / dt), round(0.75 / dt)
-    np.testing.assert_allclose(np.diff(z[a : b + 1], 2) / dt**2, -9.81, rtol=0.02)  # legs follow in MATCHES rounds
-    assert z[a : b + 1].max() - z[0] == pytest.approx(9.81 * 0.25**2 / 8.0, abs=2e-3)
-
-
-def test_a_machine_jumps_where_its_phases_say_so(hop):
-    plan = planner.solve(hop)
-    swing = slice(round(0.5 / hop.dynamics.dt) + 1, round(0.75 / hop.dynamics.dt))
-    assert not standing(hop.dynamics.mechanism, plan.xs)["shank"][swing].any()
-    proof = planner.prove(plan, rollouts=0)
-    assert proof.passed
-    assert next(one for one in proof.goal.measured if one.name == STANCE_MISS).value < 50.0
-
-
-def test_a_plan_that_stays_on_the_ground_does_not_keep_its_phases(hop, monkeypatch):
-    """As a motion that is not raised: it stands where it is, at every goal."""
-    monkeypatch.setattr(gait, "jumping", lambda *_: None)
-    plan = planner.solve(hop.recipe.rebuilt())
-    assert (plan.converged, plan.missed_goals) == (True, "")
-    proof = planner.prove(plan, rollouts=0)
-    assert [one.name for one in proof.goal.failures] == [STANCE_MISS]
-    found = {one.code: one for one in suggested_fixes(plan, proof)}
-    assert found["stance_missed"].values["foot"] == "shank"

@@ -346,7 +346,7 @@ def _built(
     elif way is None and gait is not None:
         ranges = (limits or Limits(position="off")).position_ranges(dynamics)
         straight = straight_reference(dynamics, x0, goal, N)
-        rows, reasons["gait"] = gait.motion(mechanism, straight, dynamics.dt, ranges, raised=bool(gait.phases))
+        rows, reasons["gait"] = gait.motion(mechanism, straight, dynamics.dt, ranges)
         along, paths = ReferenceTrajectory(None, rows, direct=True, walks=True), path_lengths(dynamics, rows)
     elif way is not None and way.gait:
         reasons["gait"] = way.gait

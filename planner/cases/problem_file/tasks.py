@@ -163,7 +163,7 @@ def resolve_task(
     rows = _rested(poses, task, x0) if stands else reference_states(task, poses, x0)
     if steps is None:
         return ResolvedTask(task, poses, rows, apart, waypoints, stands=stands)
-    rows, said = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges, _is_direct(task), bool(steps.phases))
+    rows, said = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges, _is_direct(task))
     return ResolvedTask(task, poses, rows, apart, waypoints, said, stands)
 
 

@@ -89,9 +89,8 @@ class Gait:
     phases: tuple[Phase, ...] = ()
 
     def motion(
-        self, mechanism: Mechanism, rows: np.ndarray, dt: float, ranges: np.ndarray, direct: bool = True,
-        raised: bool = False,
-    ) -> tuple[np.ndarray, str]:  # fmt: skip
+        self, mechanism: Mechanism, rows: np.ndarray, dt: float, ranges: np.ndarray, direct: bool = True
+    ) -> tuple[np.ndarray, str]:
         """The states (N+1, nx) of the gait along a motion `rows` (N+1, nx), and a sentence about it.
 
         Args:
@@ -100,7 +99,6 @@ class Gait:
             dt: s.
             ranges: (nv, 2) rad or m, of hinges and slides.
             direct: Whether the end of the motion alone is asked for, so that steps are as long as each other.
-            raised: Whether flights are as long as phases say, of a motion that is too low for them.
 
         Raises:
             PlannerError: The machine has other feet, or its legs do not reach their footholds.
@@ -129,7 +127,7 @@ class Gait:
         places = stepping(dragged, when, normals, of_points, lift, dt)
         q = over_support(mechanism, rows[:, :nq], places, stands, normals[0], dt)
         flights = flights_of(stands)
-        high = jumping(mechanism, q, standing, places, flights, ranges, dt, raised) if flights else None
+        high = jumping(mechanism, q, standing, places, flights, ranges, dt) if flights else None
         q = with_legs(mechanism, q, standing, places, ranges) if high is None else high
         xs = rows.copy()
         xs[:, :nq] = q

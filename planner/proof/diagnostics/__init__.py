@@ -11,7 +11,7 @@ from planner.problem.plan import Plan, Status
 from planner.proof.diagnostics.avoid_contact import avoid_contact, no_way_around
 from planner.proof.diagnostics.balance import falling, gait_needed, jump_not_found, standing_goal
 from planner.proof.diagnostics.effort import longer, more_time, passing_duration, too_little_thrust
-from planner.proof.diagnostics.goals import larger_weights, not_moved, stance_missed, untouched, without_ignored
+from planner.proof.diagnostics.goals import larger_weights, not_moved, untouched, without_ignored
 from planner.proof.diagnostics.limits import fixed_joints, soft_equalities, wider_margin, within_limits
 from planner.proof.diagnostics.solving import (
     first_guess,
@@ -37,7 +37,7 @@ __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 _CAUSES = (
     other_model, too_little_thrust, standing_goal, gait_needed, first_guess, jump_not_found, no_way_around,
     avoid_contact, fixed_joints, untouched, not_moved, more_time, passing_duration, within_limits, without_ignored,
-    more_iterations, shorter_stage, clamped_between, wider_margin, larger_weights, stance_missed, other_guesses,
+    more_iterations, shorter_stage, clamped_between, wider_margin, larger_weights, other_guesses,
     falling, contacts_differ, not_a_minimum, soft_equalities,
 )  # fmt: skip
 _OF_RECORDINGS = (other_model, sparse_rows, contacts_differ, soft_equalities)  # nobody chose weights or a duration

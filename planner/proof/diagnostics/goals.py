@@ -14,10 +14,8 @@ from planner.problem.goals import GoalCheck, goals_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.problem.tasks.cost import WEIGHT
-from planner.problem.tasks.stances import worst_stance
 from planner.proof.diagnostics.solving import STARTS
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file, rounded_up
-from planner.proof.replay_errors import STANCE_MISS
 from planner.proof.verdict import Proof
 from planner.solvers.continuation import DistantContacts, has_softer
 from planner.solvers.trapped import stays_away
@@ -47,17 +45,6 @@ def not_moved(plan: Plan, problem: Problem, proof: Proof | None) -> list[Suggest
     advice = [] if several else [f"`starts = {STARTS}`"]
     advice += ["a [[goal]] of joints on the way", "more `duration`"]
     return [no_fix("goal", "not_moved", advice=", or ".join(advice))]
-
-
-def stance_missed(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
-    """A foot that does not stand or swing as the phases ask: it costs less, since phases are a reference alone."""
-    if proof is None or all(one.name != STANCE_MISS for one in proof.goal.failures):
-        return []
-    found = worst_stance(problem, plan.t, plan.xs)
-    assert found is not None  # the proof has measured it
-    values = {"foot": found.foot, "asked": found.asked, "share": 100.0 * found.share}
-    times = {"begin": Quantity(found.begin, "s"), "end": Quantity(found.end, "s")}
-    return [no_fix("phase", "stance_missed", **values, **times)]
 
 
 def larger_weights(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:

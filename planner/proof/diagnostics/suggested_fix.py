@@ -91,8 +91,6 @@ SENTENCES = {
     "untouched": "The plan never touches what is to be moved: begin with the machine at it, give the motion more time, "
     "or write a [[goal]] of the hand there at a time before.",
     "not_moved": "The solve found no motion that brings the machine nearer to its goal: write {advice}.",
-    "stance_missed": "{foot} is to {asked} from {begin:.3g} to {end:.3g}, and does not for {share:.3g} % of it: write "
-    "other times of its [[phase]], or a [[goal]] on the way, with through = true.",
     "ignored_matters": "the plan leaves out {ignored}, and with it your file has {missed}",
     # The solve
     "rate_too_fast": "the fastest rate of the machine at its start is {rate:.3g} per s, {per_stage:.3g} times in a "
