@@ -88,7 +88,7 @@ def missed_goal_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
     Problems with their own rule of success are judged by the proof alone.
     """
     if problem.periodic is not None:
-        return unreturned_message(problem, xs)
+        return unreturned_message(problem, xs) or ignored_stance_message(problem, t, xs)
     if problem.requirements is not None and problem.requirements.goal is not None:
         return ""
     goals = [one for one in goals_of(problem, xs) if np.isfinite(one.tolerance) and one.tolerance > 0.0]

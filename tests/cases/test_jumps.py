@@ -94,7 +94,7 @@ def test_a_flight_in_place_is_raised_to_a_parabola_from_where_the_machine_stands
     places = np.tile(points_of_feet(m, q[:1], feet)[0], (N + 1, 1, 1))
     given = (m, q, feet, places, [(40, 70)], m.joint_range, dt)
     assert jumping(*given) is None
-    found = jumping(*given, raised=True)
+    found = jumping(*given, lifted=True)
     assert found is not None
     z = center_of_mass(m, found)[:, 2]
     np.testing.assert_allclose(np.diff(z, 2)[41:68] / dt**2, -9.81, rtol=1e-6)

@@ -340,7 +340,8 @@ def _built(
     cyclic, paths, stances = None, None, () if way is None else way.stances
     if cycle is not None:
         cyclic = motion_in(table, cycle, dynamics, x0, N, limits)
-        along, reasons["gait"] = ReferenceTrajectory(None, cyclic.states, direct=True, walks=True), cyclic.said
+        along, stances = ReferenceTrajectory(None, cyclic.states, direct=True, walks=True), cyclic.stances
+        reasons["gait"] = cyclic.said
         goal = cyclic.image.apply(dynamics.space, x0)
         paths = 0.5 * path_lengths(dynamics, cyclic.repeated(dynamics.space, 2).states)  # the same on either side
     elif way is None and gait is not None:

@@ -137,8 +137,8 @@ class Gait:
         q = over_support(mechanism, rows[:, :nq], places, stands, normals[0], dt)
         flights = flights_of(stands)
         # The times of phases are asked for, those of turns are the gait's own: a trot's are too short to be worth it.
-        raised = bool(self.phases)
-        high = jumping(mechanism, q, standing, places, flights, ranges, dt, raised) if flights else None
+        lifted = bool(self.phases)
+        high = jumping(mechanism, q, standing, places, flights, ranges, dt, lifted) if flights else None
         q = with_legs(mechanism, q, standing, places, ranges) if high is None else high
         xs = rows.copy()
         xs[:, :nq] = q

@@ -36,7 +36,7 @@ def flights_of(stands: np.ndarray) -> list[tuple[int, int]]:
 
 def jumping(
     mechanism: Mechanism, q: np.ndarray, feet: list[Foot], places: np.ndarray, flights: list[tuple[int, int]],
-    ranges: np.ndarray, dt: float, raised: bool = False,
+    ranges: np.ndarray, dt: float, lifted: bool = False,
 ) -> np.ndarray | None:  # fmt: skip
     """Configurations (N+1, nq) of a motion with flights; None where it is lower than their parabolas, or legs lack.
 
@@ -48,7 +48,7 @@ def jumping(
         flights: See flights_of().
         ranges: (nv, 2) rad or m, of hinges and slides.
         dt: s.
-        raised: Whether a motion that is lower than a parabola is raised to one that begins where the machine stands.
+        lifted: Whether a motion that is lower than a parabola is raised to one that begins where the machine stands.
     """
     if mechanism.reduction is not None or mechanism.has_closed_chains:
         return None
@@ -59,7 +59,7 @@ def jumping(
         on_ground[a + 1 : b] = False
     stays = all(np.ptp(part, axis=0).max() <= STILL for a, b in flights for part in (places[: a + 1], places[b:]))
     for depth in DEPTHS:
-        found = _heights(heights, flights, g, dt, depth, raised)
+        found = _heights(heights, flights, g, dt, depth, lifted)
         if found is None:
             return None
         wanted, pushes = found
@@ -123,11 +123,11 @@ def _paced(mechanism: Mechanism, q: np.ndarray, push: int, rise: int) -> np.ndar
 
 
 def _heights(
-    z: np.ndarray, flights: list[tuple[int, int]], g: float, dt: float, depth: float, raised: bool
+    z: np.ndarray, flights: list[tuple[int, int]], g: float, dt: float, depth: float, lifted: bool
 ) -> tuple[np.ndarray, list[int]] | None:  # fmt: skip
     """(N+1,) m, of the centre of mass with flights, from those of the motion z (N+1,), and knots of each push.
 
-    It crouches `depth` of the height of a flight below its take-off. See jumping() for `raised` and None.
+    It crouches `depth` of the height of a flight below its take-off. See jumping() for `lifted` and None.
     """
     found, stood, times = z.copy(), 0, list[int]()
     for k, (a, b) in enumerate(flights):
@@ -135,7 +135,7 @@ def _heights(
         c, v, t = g * T**2 / 8.0, g * T / 2.0, dt * np.arange(b - a + 1)
         end = (b + flights[k + 1][0]) // 2 if k + 1 < len(flights) else len(z) - 1
         low, stands = z[(a + b) // 2] - c, min(z[stood], z[end])
-        if low < stands and not raised:
+        if low < stands and not lifted:
             return None
         low = max(low, stands)
         found[a : b + 1] = low + v * t - 0.5 * g * t**2
