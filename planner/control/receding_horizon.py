@@ -89,7 +89,7 @@ class RecedingHorizonProblem:
         limits = first_stages(problem.limits, H, N)
         self.problem = replace(
             problem, cost=cost, horizon=H, us=np.zeros((H, problem.dynamics.nu)), limits=limits, objective=None,
-            recipe=None, goal_specs=None, requirements=None, periodic=None, tolerance="soft",
+            recipe=None, goal_specs=None, stances=(), requirements=None, periodic=None, tolerance="soft",
         )  # fmt: skip
         self.engine, self._residual_costs = acquire_engine(self.problem), residuals
         self._hinges: BoundPenalties | None = None

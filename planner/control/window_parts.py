@@ -224,10 +224,19 @@ def goal_stays(problem: Problem) -> bool:
 
 
 def horizon_and_rate(problem: Problem, horizon: int | None = None, rate: float | None = None) -> tuple[int, float]:
-    """Number of stages and rate, Hz, of a controller; a PlannerError for invalid or incompatible arguments."""
+    """Number of stages and rate, Hz, of a controller; a PlannerError for invalid arguments, or a cost without a window.
+
+    It solves nothing, so that what is wrong is said before any work.
+    """
     if not isinstance(problem, Problem):
         more = "; write Controller(plan.problem, plan=plan)" if isinstance(problem, Plan) else ""
         raise PlannerError(f"problem is {short_repr(problem)}, expected a Problem{more}.")
+    if problem.objective is not None and "time" in problem.objective.weights:
+        raise PlannerError(
+            "the objective has time, and a controller keeps the duration: expected another objective, and the duration "
+            "that `planner solve` finds."
+        )
+    parts_of(problem)
     dt = problem.dynamics.dt
     H = problem.N if horizon is None else count("horizon", horizon, maximum=LONGEST_HORIZON)
     rate = 1.0 / dt if rate is None else number("rate", rate, greater_than=0.0)

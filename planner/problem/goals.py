@@ -21,6 +21,7 @@ from planner.model.coordinates import coordinates_of
 from planner.model.space import space_of
 from planner.problem.costs.terms import GoalSpec, SumCost
 from planner.problem.problem import Problem
+from planner.problem.stances import BOUND, least_kept
 
 SHARE = 0.02  # of the displacement, or of a velocity's peak: the default tolerance
 MIN_TOLERANCES = {"rad": 0.02, "m": 5e-3, "rad/s": 0.1, "m/s": 0.05}  # lower limit of a default tolerance, by unit
@@ -87,19 +88,29 @@ def missed_goal_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
     Problems with their own rule of success are judged by the proof alone.
     """
     if problem.periodic is not None:
-        return unreturned_message(problem, xs)
+        return unreturned_message(problem, xs) or ignored_stance_message(problem, t, xs)
     if problem.requirements is not None and problem.requirements.goal is not None:
         return ""
     goals = [one for one in goals_of(problem, xs) if np.isfinite(one.tolerance) and one.tolerance > 0.0]
     over = {one.name: one.miss(t, xs) / one.tolerance for one in goals}
     worst = max(goals, key=lambda one: over[one.name], default=None)
     if worst is None or not over[worst.name] > 1.0:
-        return ""
+        return ignored_stance_message(problem, t, xs)
     miss = over[worst.name] * worst.tolerance
     return (
         f"{worst.name} is missed by {miss:.3g} {worst.unit}, and {worst.tolerance:.3g} pass; raise its weight, the "
         "duration or the limits and constraints that keep the motion off"
     )
+
+
+def ignored_stance_message(problem: Problem, t: np.ndarray, xs: np.ndarray) -> str:
+    """A message about the stance that states xs (N+1, nx) keep least; "" where each is kept long enough."""
+    if not problem.stances:
+        return ""
+    stance, share = least_kept(problem.stances, problem.dynamics, t, xs)
+    if share >= BOUND:
+        return ""
+    return f"{stance} is kept in {share:.3g} % of its time, and {BOUND:g} % pass; raise weights.position, or its time"
 
 
 def unreturned_message(problem: Problem, xs: np.ndarray) -> str:

@@ -27,6 +27,7 @@ from planner.problem.costs.terms import Cost, GoalSpec, Quadratic, check_cost, c
 from planner.problem.costs.tracking import states, tracking_of
 from planner.problem.limits import TOLERANCE, Limits
 from planner.problem.problem_parts import Built, Objective, Periodic, Recipe
+from planner.problem.stances import Stance
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ class Problem(Built):
             default, such a goal that is missed does not make a solve's status GOAL_MISSED; with a table, empty too, it
             does.
         goal_specs: Goal checks of a task for the proof; None for those of the cost's final reference.
+        stances: Which feet its phases or gait ask to stand and to swing, for the proof; () for none.
         recipe: Recipe to rebuild the problem; None for one that was assembled from parts, or whose dynamics, cost,
             start, horizon or constraints were replaced.
         bounds: Control bounds, from the limits; None for none.
@@ -106,6 +108,7 @@ class Problem(Built):
     expected_reduction_tolerance: float | None = None
     actual_reduction_tolerance: float = 0.0
     goal_specs: tuple[GoalSpec, ...] | None = None
+    stances: tuple[Stance, ...] = ()
     bounds: ControlBounds | None = field(init=False, default=None)
     ranges: StateBounds | None = field(init=False, default=None)
     trajectory_constraints: TrajectoryConstraints | None = field(init=False, default=None)

@@ -16,6 +16,7 @@ from planner.base.measured import Measurement, Section
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import GoalCheck, goals_of, terms_of
 from planner.problem.problem import Problem
+from planner.problem.stances import BOUND, least_kept
 from planner.proof.error_scales import (
     COST_BOUND,
     SHARE,
@@ -105,7 +106,14 @@ def goal(run: Replay, problem: Problem) -> Section:
         return Section("goal", not_applicable="no goal was asked for")
     motions = {"planned": (run.t, run.plan_xs), "replayed": (run.t, run.xs)}
     errors = [one for who, motion in motions.items() for one in misses(who, *motion, goals)]
-    return Section("goal", (*errors, *_return(run, problem)))
+    ignored = [_ignored(who, problem, *motion) for who, motion in motions.items() if problem.stances]
+    return Section("goal", (*errors, *ignored, *_return(run, problem)))
+
+
+def _ignored(who: str, problem: Problem, t: np.ndarray, xs: np.ndarray) -> Measurement:
+    """In which share of its time the stance that is kept least is not, of states xs (M, nx) at times t (M,)."""
+    stance, share = least_kept(problem.stances, problem.dynamics, t, xs)
+    return Measurement(f"{who}_ignored_stance", 100.0 - share, "%", 100.0 - BOUND, f"of the time of {stance}")
 
 
 def _return(run: Replay, problem: Problem) -> tuple[Measurement, ...]:

@@ -87,6 +87,22 @@ def test_a_jump_falls_freely_between_a_push_and_a_landing(jump):
     assert jumping(m, q, feet, places, [(10, 110)], m.joint_range, dt) is None
 
 
+def test_a_flight_in_place_is_raised_to_a_parabola_from_where_the_machine_stands(jump):
+    m, dt, N = jump.dynamics.mechanism, 0.01, 120
+    feet = standing_feet(m, jump.x0[:3])
+    q = np.tile(jump.x0[:3], (N + 1, 1))
+    places = np.tile(points_of_feet(m, q[:1], feet)[0], (N + 1, 1, 1))
+    given = (m, q, feet, places, [(40, 70)], m.joint_range, dt)
+    assert jumping(*given) is None
+    found = jumping(*given, lifted=True)
+    assert found is not None
+    z = center_of_mass(m, found)[:, 2]
+    np.testing.assert_allclose(np.diff(z, 2)[41:68] / dt**2, -9.81, rtol=1e-6)
+    np.testing.assert_allclose(z[[40, 70]], z[[0, -1]], atol=1e-3)
+    assert z.max() - z[0] == pytest.approx(9.81 * 0.3**2 / 8, abs=1e-3)
+    assert z[:40].min() < z[0] - 0.02  # it crouches
+
+
 def test_a_jump_that_is_higher_than_its_legs_are_long_crouches_as_far_as_they_bend(jump):
     m, dt, N = jump.dynamics.mechanism, 0.01, 180
     feet, flight = standing_feet(m, jump.x0[:3]), (40, 140)

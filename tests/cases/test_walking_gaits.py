@@ -50,7 +50,7 @@ def feet_of(mechanism, xs):
 @pytest.mark.parametrize("kind", TURNS)
 def test_feet_stand_and_swing_in_turn(straight, kind):
     mechanism, rows, dt = straight
-    xs, said = Gait(kind).motion(mechanism, rows, dt, np.tile([-np.inf, np.inf], (mechanism.nv, 1)))
+    xs, said, _ = Gait(kind).motion(mechanism, rows, dt, np.tile([-np.inf, np.inf], (mechanism.nv, 1)))
     places = feet_of(mechanism, xs)
     height = places[:, :, 2] - places[0, :, 2]
     swings = height > 1e-4  # the inverse kinematics resolves 1e-5 m
@@ -322,8 +322,14 @@ def test_phases_say_who_stands_when(straight):
     given = phases((0.3, LEGS), (0.7, DIAGONAL), (None, LEGS))
     rows = rows.copy()
     rows[:, 0] = rows[0, 0] + 0.2 * (rows[:, 0] - rows[0, 0])  # 8 cm: what a leg reaches that stands all along
-    xs, said = gait_of(given).motion(mechanism, rows, dt, ranges)
+    xs, said, stances = gait_of(given).motion(mechanism, rows, dt, ranges)
     assert said.startswith("Gait: 3 phases")
+    asked = [(one.name, one.spans, one.stand, set(one.swing)) for one in stances]
+    assert asked == [
+        ("phase 1", ((0.0, 0.3),), LEGS, set()),
+        ("phase 2", ((0.3, 0.7),), DIAGONAL, set(LEGS) - set(DIAGONAL)),
+        ("phase 3", ((0.7, np.inf),), LEGS, set()),
+    ]
     places = feet_of(mechanism, xs)
     swings = places[:, :, 2] - places[0, :, 2] > 1e-4
     t = dt * np.arange(len(xs))
@@ -337,7 +343,7 @@ def test_phases_say_who_stands_when(straight):
 
 def test_a_foot_that_swings_to_the_end_stays_in_the_air(straight):
     mechanism, rows, dt = straight
-    xs, _ = gait_of(phases((0.3, LEGS), (None, LEGS[1:]))).motion(
+    xs, *_ = gait_of(phases((0.3, LEGS), (None, LEGS[1:]))).motion(
         mechanism, lifted_foot(mechanism, rows), dt, np.tile([-np.inf, np.inf], (mechanism.nv, 1))
     )
     height = feet_of(mechanism, xs)[:, 0, 2]

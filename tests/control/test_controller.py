@@ -194,6 +194,13 @@ def test_what_does_not_fit_is_refused(problem, given, fragments):
         assert fragment in str(caught.value)
 
 
+def test_what_has_no_window_is_refused_before_anything_is_solved(problem, monkeypatch):
+    monkeypatch.setattr("planner.control.controller.solve", None)
+    for objective, said in (("time", "the objective has time.*expected another"), ("energy", "EnergyCost")):
+        with pytest.raises(planner.PlannerError, match=said):
+            planner.Controller(planner.costs.with_objective(problem, objective))
+
+
 def test_costs_without_a_window_and_goals_of_no_frame_are_refused(problem, controller):
     with pytest.raises(planner.PlannerError, match=r"EnergyCost.*expected one TrackingCost"):
         planner.Controller(planner.costs.with_objective(problem, "energy"))

@@ -337,16 +337,17 @@ def _built(
         passed = ", ".join(f"{way.task.goals[k].time:.3g}" for k in way.waypoints)
         reasons["goal"] = f"Via points without times are passed at {passed} s, in proportion to the way of the joints."
     along = guess_of(way, dynamics, x0) if way is not None and us is None else None
-    cyclic, paths = None, None
+    cyclic, paths, stances = None, None, () if way is None else way.stances
     if cycle is not None:
         cyclic = motion_in(table, cycle, dynamics, x0, N, limits)
-        along, reasons["gait"] = ReferenceTrajectory(None, cyclic.states, direct=True, walks=True), cyclic.said
+        along, stances = ReferenceTrajectory(None, cyclic.states, direct=True, walks=True), cyclic.stances
+        reasons["gait"] = cyclic.said
         goal = cyclic.image.apply(dynamics.space, x0)
         paths = 0.5 * path_lengths(dynamics, cyclic.repeated(dynamics.space, 2).states)  # the same on either side
     elif way is None and gait is not None:
         ranges = (limits or Limits(position="off")).position_ranges(dynamics)
         straight = straight_reference(dynamics, x0, goal, N)
-        rows, reasons["gait"] = gait.motion(mechanism, straight, dynamics.dt, ranges)
+        rows, reasons["gait"], stances = gait.motion(mechanism, straight, dynamics.dt, ranges)
         along, paths = ReferenceTrajectory(None, rows, direct=True, walks=True), path_lengths(dynamics, rows)
     elif way is not None and way.gait:
         reasons["gait"] = way.gait
@@ -370,7 +371,7 @@ def _built(
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, build, {} if way is None else {"poses": way.poses.table}),
         appearance=replace(appearance, title=table["title"] or appearance.title),
-        limits=limits, constraints=kept, goal_specs=wanted if cyclic is None else (),
+        limits=limits, constraints=kept, goal_specs=wanted if cyclic is None else (), stances=stances,
         tolerance=None if tasked else table["tolerance"] or {},  # by default those of all goals, as stated ones
         expected_reduction_tolerance=DECREASE,
         periodic=None if cyclic is None or cycle is None else periodic_of(dynamics, cyclic.image, cycle),

@@ -33,6 +33,7 @@ from planner.problem.goals import ROUNDING, static_error
 from planner.problem.limits import Limits
 from planner.problem.problem import Problem
 from planner.problem.reaching_cost import along_gait
+from planner.problem.stances import Stance
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
 from planner.problem.tasks.flight import BENT, check_flight, phases_of_jumps
 from planner.problem.tasks.foot_names import with_feet_of
@@ -64,6 +65,7 @@ class ResolvedTask(NamedTuple):
     apart: AvoidanceConstraint | None  # What is kept apart
     waypoints: tuple[int, ...] = ()  # goals whose share of the duration was chosen
     gait: str = ""  # Sentence about the gait that the rows are; "" for none
+    stances: tuple[Stance, ...] = ()  # What the gait asks of feet
     stands: bool = False  # Whether positions refer to the rows all the time: a machine on feet that stay, or a gait
 
 
@@ -163,8 +165,8 @@ def resolve_task(
     rows = _rested(poses, task, x0) if stands else reference_states(task, poses, x0)
     if steps is None:
         return ResolvedTask(task, poses, rows, apart, waypoints, stands=stands)
-    rows, said = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges, _is_direct(task))
-    return ResolvedTask(task, poses, rows, apart, waypoints, said, stands)
+    rows, said, stances = steps.motion(dynamics.mechanism, rows, dynamics.dt, ranges, _is_direct(task))
+    return ResolvedTask(task, poses, rows, apart, waypoints, said, stances, stands)
 
 
 def _rested(poses: Poses, task: Task, x0: np.ndarray) -> np.ndarray:
@@ -297,7 +299,7 @@ def with_jumps(
             continue
     if moves is None:
         return None
-    rows, said = moves
+    rows, said, _ = moves
     flying = way._replace(rows=rows, gait=said, stands=True)
     weights = weights_of(table, dynamics, problem.x0, flying, limits).weights | table["weights"]
     return replace(problem, cost=cost_of(flying, dynamics, weights)[0]), rows

@@ -25,6 +25,7 @@ from planner.model.mechanism import Mechanism
 from planner.model.space import StateSpace, exp_quaternion, product
 from planner.model.state_map import StateMap
 from planner.problem.costs.residual_functions import rotation_of
+from planner.problem.stances import Stance, stances_of_swings
 from planner.problem.tasks.flight import check_flight_time
 from planner.problem.tasks.gait import Gait, centres_of, feet_of, height_of, stands_at
 from planner.problem.tasks.legs import Foot, longest_step, over_support, points_of_feet, stepping, with_legs
@@ -64,6 +65,7 @@ class CycleMotion(NamedTuple):
     states: np.ndarray  # (N+1, nx) reference
     image: StateMap  # From the start of the cycle to its end
     said: str  # A sentence
+    stances: tuple[Stance, ...]  # From the start of the cycle on
 
     def repeated(self, space: StateSpace, cycles: int) -> CycleMotion:
         """So many cycles, one after another; each is the image of the one before."""
@@ -71,7 +73,7 @@ class CycleMotion(NamedTuple):
         for _ in range(cycles - 1):
             states.append(self.image.apply(space, states[-1]))
             last = self.image.apply(space, last)
-        return CycleMotion(np.concatenate([*states, last]), self.image.power(space, cycles), self.said)
+        return CycleMotion(np.concatenate([*states, last]), self.image.power(space, cycles), self.said, self.stances)
 
 
 class _Ground(NamedTuple):
@@ -177,7 +179,11 @@ def cycle_motion(
     if mirror is not None:
         image = mirror.image.then(space, image)
         said += compared_sides(dynamics, mirror, x0, ground.up)
-    return CycleMotion(xs, image, said)
+    begin = dt * middle
+    stances = stances_of_swings(
+        [foot.name for foot in standing], [[(a - begin, b - begin) for a, b in own] for own in swings]
+    )
+    return CycleMotion(xs, image, said, stances)
 
 
 def _ground(mechanism: Mechanism, x: np.ndarray, up: np.ndarray) -> _Ground:

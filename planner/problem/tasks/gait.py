@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from planner.dynamics.kinematics import center_of_mass
 from planner.model.mechanism import Mechanism
 from planner.model.urdf.write import is_urdf
 from planner.problem.costs.frame import CLEARANCE
+from planner.problem.stances import Stance, stances_of_phases, stances_of_swings
 from planner.problem.tasks.flight import check_flight_time
 from planner.problem.tasks.jump import flights_of, jumping
 from planner.problem.tasks.legs import (
@@ -68,6 +69,14 @@ WIDEST = 0.9 * np.pi  # rad: largest angle between two feet, as the centre of ma
 OVERLAP = 0.2  # of a slot, in which feet of two turns stand by default
 
 
+class GaitMotion(NamedTuple):
+    """A motion on feet."""
+
+    states: np.ndarray  # (N+1, nx)
+    said: str  # A sentence
+    stances: tuple[Stance, ...]
+
+
 @dataclass(frozen=True)
 class Gait:
     """A gait.
@@ -90,8 +99,8 @@ class Gait:
 
     def motion(
         self, mechanism: Mechanism, rows: np.ndarray, dt: float, ranges: np.ndarray, direct: bool = True
-    ) -> tuple[np.ndarray, str]:
-        """The states (N+1, nx) of the gait along a motion `rows` (N+1, nx), and a sentence about it.
+    ) -> GaitMotion:
+        """The gait along a motion `rows` (N+1, nx).
 
         Args:
             mechanism: The machine.
@@ -127,12 +136,15 @@ class Gait:
         places = stepping(dragged, when, normals, of_points, lift, dt)
         q = over_support(mechanism, rows[:, :nq], places, stands, normals[0], dt)
         flights = flights_of(stands)
-        high = jumping(mechanism, q, standing, places, flights, ranges, dt) if flights else None
+        # The times of phases are asked for, those of turns are the gait's own: a trot's are too short to be worth it.
+        lifted = bool(self.phases)
+        high = jumping(mechanism, q, standing, places, flights, ranges, dt, lifted) if flights else None
         q = with_legs(mechanism, q, standing, places, ranges) if high is None else high
         xs = rows.copy()
         xs[:, :nq] = q
         xs[1:-1, mechanism.velocities] = space.difference(xs[2:], xs[:-2])[:, :nv] / (2.0 * dt)
-        return xs, f"Gait: {said}, steps of up to {longest_step(places):.2g} m, feet lifted by {lift:.2g} m."
+        said = f"Gait: {said}, steps of up to {longest_step(places):.2g} m, feet lifted by {lift:.2g} m."
+        return GaitMotion(xs, said, self._stances([foot.name for foot in standing], swings))
 
     def stepping_links(self, mechanism: Mechanism, x: np.ndarray) -> frozenset[int]:
         """Links of the feet of a machine that stands at x (nx,) that swing at some time."""
@@ -150,6 +162,13 @@ class Gait:
             return all(phase.stand for phase in self.phases)
         turns = np.array(list(self.feet.values()) if self.kind is None else [0.0, 0.5])  # that all kinds have
         return not _in_air(turns, self.times_of(turns)[1]).all(axis=1).any()
+
+    def _stances(self, names: list[str], swings: list[list[tuple[float, float]]]) -> tuple[Stance, ...]:
+        """What phases or turns ask of feet with these names, which swing so, s."""
+        if not self.phases:
+            return stances_of_swings(names, swings)
+        spans = [(begin, phase.until) for begin, phase in zip(self._begins, self.phases, strict=True)]
+        return stances_of_phases(names, spans, [phase.stand for phase in self.phases])
 
     @property
     def _begins(self) -> list[float]:

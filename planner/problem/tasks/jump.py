@@ -36,7 +36,7 @@ def flights_of(stands: np.ndarray) -> list[tuple[int, int]]:
 
 def jumping(
     mechanism: Mechanism, q: np.ndarray, feet: list[Foot], places: np.ndarray, flights: list[tuple[int, int]],
-    ranges: np.ndarray, dt: float,
+    ranges: np.ndarray, dt: float, lifted: bool = False,
 ) -> np.ndarray | None:  # fmt: skip
     """Configurations (N+1, nq) of a motion with flights; None where it is lower than their parabolas, or legs lack.
 
@@ -48,6 +48,7 @@ def jumping(
         flights: See flights_of().
         ranges: (nv, 2) rad or m, of hinges and slides.
         dt: s.
+        lifted: Whether a motion that is lower than a parabola is raised to one that begins where the machine stands.
     """
     if mechanism.reduction is not None or mechanism.has_closed_chains:
         return None
@@ -58,7 +59,7 @@ def jumping(
         on_ground[a + 1 : b] = False
     stays = all(np.ptp(part, axis=0).max() <= STILL for a, b in flights for part in (places[: a + 1], places[b:]))
     for depth in DEPTHS:
-        found = _heights(heights, flights, g, dt, depth)
+        found = _heights(heights, flights, g, dt, depth, lifted)
         if found is None:
             return None
         wanted, pushes = found
@@ -122,20 +123,21 @@ def _paced(mechanism: Mechanism, q: np.ndarray, push: int, rise: int) -> np.ndar
 
 
 def _heights(
-    z: np.ndarray, flights: list[tuple[int, int]], g: float, dt: float, depth: float
+    z: np.ndarray, flights: list[tuple[int, int]], g: float, dt: float, depth: float, lifted: bool
 ) -> tuple[np.ndarray, list[int]] | None:  # fmt: skip
     """(N+1,) m, of the centre of mass with flights, from those of the motion z (N+1,), and knots of each push.
 
-    It crouches `depth` of the height of a flight below its take-off.
+    It crouches `depth` of the height of a flight below its take-off. See jumping() for `lifted` and None.
     """
     found, stood, times = z.copy(), 0, list[int]()
     for k, (a, b) in enumerate(flights):
         T = (b - a) * dt
         c, v, t = g * T**2 / 8.0, g * T / 2.0, dt * np.arange(b - a + 1)
-        low = z[(a + b) // 2] - c
         end = (b + flights[k + 1][0]) // 2 if k + 1 < len(flights) else len(z) - 1
-        if low < min(z[stood], z[end]):
+        low, stands = z[(a + b) // 2] - c, min(z[stood], z[end])
+        if low < stands and not lifted:
             return None
+        low = max(low, stands)
         found[a : b + 1] = low + v * t - 0.5 * g * t**2
         found[stood : a + 1], push = _push(z[stood], low, (depth * c, v), a - stood, dt)
         backwards, catch = _push(z[end], low, (depth * c, v), end - b, dt)
