@@ -12,7 +12,8 @@ the plan may be used for:
     robust at its goals                             its gains bring it there; on the way it leaves its path's bound
     fragile with its gains: 50 % succeed            with its gains so many machines with small errors still succeed
     open loop only: with its gains ...              its gains lead astray: apply its controls alone
-    robustness: pending                             not known yet
+    robustness: undecided                           too few rollouts to tell
+    robustness: pending                             not measured yet: of a run that is going on
 
 "planned without ..." lists elements of the user's file that the plan's model lacks; step 6 replayed the plan with them.
 "though half as long stages ..." of a solve that ended UNRESOLVED: MuJoCo's finer steps repeat its plan all the same.
@@ -99,7 +100,7 @@ class Proof(Renderable):
 
     @property
     def robustness(self) -> str:
-        """The grade: "open loop only", "robust", "robust at its goals", "fragile"; "robustness: pending"; or ""."""
+        """The grade: "open loop only", "robust", "fragile", "robustness: undecided", "robustness: pending" or ""."""
         return self._graded("", "")
 
     @property
@@ -124,7 +125,7 @@ class Proof(Renderable):
         if word == "robust" and self.leaves_path:
             word, judged = AT_GOALS, ""
         share = share if word == "fragile" else ""
-        return f"robustness: {word}{other}" if word == "pending" else f"{word}{judged}{other}{share}"
+        return f"robustness: {word}{other}" if word == "undecided" else f"{word}{judged}{other}{share}"
 
     @property
     def _grade_words(self) -> str:

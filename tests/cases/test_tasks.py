@@ -275,6 +275,16 @@ def test_a_motion_of_joints_is_followed(tmp_path):
         assert measured[f"planned_{path.name.replace(' ', '_')}_miss"] == pytest.approx(off, abs=2e-3)
 
 
+def test_a_recording_to_follow_has_its_own_duration(tmp_path):
+    (tmp_path / "motion.csv").write_text("t,shoulder,elbow\n0,0.5,-1\n0.7,0.8,-0.9\n1.3,0.9,-0.8\n", encoding="utf-8")
+    path = write(tmp_path, '[follow]\nfile = "motion.csv"', duration=1.4)
+    asked = path.read_text(encoding="utf-8")
+    assert load(path).problem.duration == pytest.approx(1.4)  # as the file says
+    without = [line for line in asked.splitlines() if not line.startswith(("duration", "dt"))]
+    path.write_text("\n".join(without), encoding="utf-8")
+    assert load(path).problem.duration == pytest.approx(1.3)
+
+
 def test_points_without_times_are_spread_over_the_duration_slow_at_both_ends():
     here = hand(0.5, -1.0)
     points = [[here[0] + 0.1 * k / 4, 0.0, here[1]] for k in range(5)]

@@ -199,7 +199,7 @@ def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monk
         "before the perturbed simulations: PASS (open-loop); feasible, optimal, robustness: pending",
         "What is measured now does not change PASS",
         "the slowest rate", "contact sensitivity", "step  ",
-        "PASS (open-loop); feasible, optimal, robustness: pending\n",
+        "PASS (open-loop); feasible, optimal, robustness: undecided\n",
     )  # fmt: skip
     seen = [line for line in order if "not applicable" not in line]
     places = [[i for i, line in enumerate(seen) if line.startswith(start)] for start in starts]

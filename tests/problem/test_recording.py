@@ -10,7 +10,7 @@ import pytest
 from planner.base.errors import FileError, PlannerError
 from planner.base.files import confined
 from planner.problem.recording import TIME, read_recording
-from planner.problem.tasks.goal import with_points
+from planner.problem.tasks.goal import recorded_duration, with_points
 
 T = np.array([0.0, 0.011, 0.02, 0.031])  # uneven, as a recorder's
 Q = np.stack([np.sin(T), 1.0 + T, -T], axis=1)
@@ -88,6 +88,26 @@ def test_a_path_to_follow_is_of_the_joints_that_are_named(write, tmp_path):
     np.testing.assert_allclose(given.pop("points"), np.column_stack([T, np.radians(Q[:, [2, 0]])]), atol=1e-12)
     assert given == {"joints": ["wrist", "elbow"]}
     assert with_points({"file": file}, tmp_path, NAMES)["joints"] == list(NAMES)
+
+
+@pytest.mark.parametrize("write", [write_csv, write_bag, write_episodes])
+def test_a_recording_says_how_long_it_is(write, tmp_path):
+    file = write(tmp_path).relative_to(tmp_path).as_posix()
+    assert recorded_duration({"file": file}, tmp_path) == pytest.approx(T[-1])
+
+
+@pytest.mark.parametrize(
+    ("text", "table", "seconds"),
+    [
+        ("0,1,2,3\n0.5,1,2,3\n", {"frame": "hand"}, 0.5),
+        ("x,y,z\n1,2,3\n", {"frame": "hand"}, None),  # without times
+        ("0,1,2,3\n0.5,1,2,3\n", {"joints": ["a", "b", "c", "d"]}, None),  # of four joints
+        ("", {"points": [[0.0, 1.0], [0.5, 1.0]]}, None),
+    ],
+)
+def test_what_has_no_times_has_no_duration(tmp_path, text, table, seconds):
+    (tmp_path / "q.csv").write_text(text, encoding="utf-8")
+    assert recorded_duration(({"file": "q.csv"} if text else {}) | table, tmp_path) == seconds
 
 
 def follow(folder, text, joints=None, actuators=("elbow", "shoulder")):

@@ -62,5 +62,5 @@ def test_a_budget_stops(arm):
     assert "Stopped after" in none.section.not_applicable
     assert not np.isfinite(none.margin["feedback"])
     assert none.to_dict()["rollouts"] == {"asked": 16, "done": 0}
-    assert none.robustness == "pending"
+    assert none.robustness == "undecided"
     assert none.section.passed

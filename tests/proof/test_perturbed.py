@@ -240,7 +240,7 @@ def test_what_is_robust_says_with_what_and_how_many_rollouts_it_took(calm, robus
     assert replace(proof, sections=strays).headline.endswith("; feasible, optimal, robust at its goals")
     few = perturbed(calm, coarse(calm), MonteCarloSettings(4))
     assert few.notes == ()
-    assert "robustness: pending" in few.lines()
+    assert "robustness: undecided" in few.lines()
 
 
 def test_gains_of_the_wrong_sign_fail(calm, robust):

@@ -29,11 +29,11 @@ def test_wilson_covers_the_true_rate():
     ("successes", "of", "word", "settled"),
     [
         # Of n of n the interval is n / (n + z^2) to 1: 80 % from 4 z^2 = 15.4 on, within 7 % from 6.14 z^2 = 23.6.
-        (15, 15, "pending", False), (16, 16, "robust", False), (24, 24, "robust", True),
+        (15, 15, "undecided", False), (16, 16, "robust", False), (24, 24, "robust", True),
         # Of 0 of n it is 0 to z^2 / (n + z^2): below 80 % from the first on.
-        (0, 0, "pending", False), (0, 1, "fragile", True),
+        (0, 0, "undecided", False), (0, 1, "fragile", True),
         # Tight, and its lower end below 80 %; the same rate of fewer is not tight.
-        (132, 160, "fragile", True), (33, 40, "pending", False),
+        (132, 160, "fragile", True), (33, 40, "undecided", False),
         (144, 160, "robust", True),
     ],
 )  # fmt: skip

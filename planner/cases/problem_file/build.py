@@ -94,6 +94,7 @@ from planner.cases.problem_file.tasks import (
     steps_of,
     with_files,
     with_jumps,
+    with_recorded_duration,
     with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
@@ -142,8 +143,8 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
     Raises:
         PlannerError: A key is unknown, missing or wrong, or the model cannot be used.
     """
-    path = Path(path)
-    table = table | {name: value for name, value in instead.items() if value is not None}
+    path, stated = Path(path), {name: value for name, value in instead.items() if value is not None}
+    table = with_recorded_duration(table | stated, path.parent)
     check_file(table, KEYS, TABLES, VALUES, str(path))
     table, cycles = without_cycles(table)
     table = with_defaults(with_model_limits(table), str(path))

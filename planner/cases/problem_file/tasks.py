@@ -38,7 +38,7 @@ from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
 from planner.problem.tasks.flight import BENT, check_flight, phases_of_jumps
 from planner.problem.tasks.foot_names import with_feet_of
 from planner.problem.tasks.gait import Gait, gait_of
-from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, with_points
+from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, recorded_duration, with_points
 from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of, stored_poses
 from planner.problem.tasks.reference_motion import (
@@ -116,6 +116,16 @@ def with_files(table: dict[str, Any], folder: Path, mechanism: Mechanism) -> dic
     if isinstance(given, list):
         return table | {"follow": [read(path) if isinstance(path, dict) else path for path in given]}
     return table
+
+
+def with_recorded_duration(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The table of a file, without a duration that of the longest recording that its paths name."""
+    if "duration" in table or "durations" in table:
+        return table
+    given = table.get("follow", [])
+    tables = [one for one in (given if isinstance(given, list) else [given]) if isinstance(one, dict)]
+    ends = [end for one in tables if (end := recorded_duration(one, folder)) is not None]
+    return table | {"duration": max(ends)} if ends else table
 
 
 def resolve_task(

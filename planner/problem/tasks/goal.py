@@ -335,6 +335,20 @@ def with_points(
     return {**rest, "points": rows.tolist()}
 
 
+def recorded_duration(table: Mapping[str, Any], folder: Path) -> float | None:
+    """The last time in the recording that a path's table names, relative to a folder, s; None without times.
+
+    Raises:
+        FileError: It cannot be read, or is no table of numbers.
+    """
+    if not isinstance(table.get("file"), str):
+        return None
+    recording = read_recording(folder / table["file"], "the path to follow", table.get("part"))
+    timed = recording.heading[0] == TIME if recording.heading else recording.table.shape[1] == 1 + len(COORDINATES)
+    timed &= bool(recording.heading) or table.get("frame") is not None  # rows of joints: who knows which
+    return float(recording.table[-1, 0]) if timed and len(recording.table) else None
+
+
 def _recorded_joints(
     recording: Recording, path: Path, joints: Collection[str], actuators: Collection[str]
 ) -> list[str]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.kinematics import center_of_mass, center_of_mass_jacobian, frame_pose, jacobian
+from planner.dynamics.kinematics import LinkPlaces, center_of_mass, center_of_mass_jacobian, frame_pose
 from planner.model.capabilities import stands_on_ground
 from planner.model.mechanism import Frame, Mechanism
 from planner.problem.constraints.clearance import PairClearanceFunction
@@ -122,8 +122,9 @@ class Feet:
 
     def _displacements(self, q: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 3) displacements over FOOT_SCALE of contacts `which` (K,), and their Jacobians (K, 3, nv)."""
-        here = np.array([frame_pose(self.mechanism, q, self.frames[k])[:3, 3] for k in which])
-        J = np.array([jacobian(self.mechanism, q, self.frames[k])[:3] for k in which])
+        at = LinkPlaces(self.mechanism, q)  # once for all contacts
+        here = np.array([at.pose(self.frames[k])[0, :3, 3] for k in which])
+        J = np.array([at.jacobian(self.frames[k])[0, :3] for k in which])
         return (here - self.places[which]) / FOOT_SCALE, J / FOOT_SCALE
 
     def fixed(self, q: np.ndarray, which: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

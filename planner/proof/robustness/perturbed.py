@@ -74,7 +74,7 @@ class RobustnessResult:
 
     @property
     def robustness(self) -> str:
-        """The word "robust", "fragile" or, with too few rollouts, "pending": see robustness.success.
+        """The word "robust", "fragile" or, with too few rollouts, "undecided": see robustness.success.
 
         Of the rate with gains and the perturbation that was drawn.
         """
@@ -111,7 +111,7 @@ class RobustnessResult:
         """The rates with their intervals, and the rollouts with the largest end errors."""
         lines = [f"robustness: {note}" for note in self.notes]
         word = self.robustness
-        lines += [f"robustness: {word}{'' if word == 'pending' else JUDGED}"] if self.done else []
+        lines += [f"robustness: {word}{'' if word == 'undecided' else JUDGED}"] if self.done else []
         for mode, rate in self.rates.items() if self.done else ():
             if mode == CLOCK and not rate.of:
                 continue

@@ -67,10 +67,10 @@ class SuccessRate:
 
     @property
     def word(self) -> str:
-        """The word "robust" for a lower end of at least ROBUST; else "fragile" where decided; else "pending"."""
+        """The word "robust" for a lower end of at least ROBUST; else "fragile" where decided; else "undecided"."""
         if self.interval[0] >= ROBUST:
             return "robust"
-        return "fragile" if self.is_decided else "pending"
+        return "fragile" if self.is_decided else "undecided"
 
     def to_dict(self) -> dict[str, float | int]:
         """As JSON values."""
