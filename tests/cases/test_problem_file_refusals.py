@@ -307,3 +307,27 @@ def test_a_start_deep_in_another_body_is_told(tmp_path, x, gravity, told):
     )
     notes = load(tmp_path / "push.toml").notes
     assert any("0.03 m deep in each other" in note for note in notes) == told
+
+
+@pytest.mark.parametrize(
+    ("goal", "avoid", "told"),
+    [(0.1, "", False), (0.2, "", True), (0.2, "avoid = {}\n", None)],
+    ids=["before the post", "in the post", "refused where shapes are kept apart"],
+)
+def test_a_goal_in_an_obstacle_is_told(tmp_path, goal, avoid, told):
+    """The hand of 3 cm ends at its goal + 0.03 m, and the post begins at 0.2 m: 3 cm deep, or 7 cm before it."""
+    (tmp_path / "hand.xml").write_text(
+        """<mujoco><option gravity="0 0 0"/><worldbody>
+        <body name="hand"><joint name="hand" type="slide" axis="1 0 0"/><geom name="hand" size=".03" mass="1"/></body>
+        </worldbody><actuator><motor joint="hand" ctrlrange="-9 9"/></actuator></mujoco>"""
+    )
+    (tmp_path / "hand.toml").write_text(
+        f'model = "hand.xml"\ngoal = {{ hand = {goal} }}\nduration = 1.0\n{avoid}'
+        '[[obstacle]]\nshape = "box"\nsize = [0.2, 0.2, 0.2]\nposition = [0.3, 0, 0]\nname = "post"\n'
+    )
+    if told is None:
+        with pytest.raises(PlannerError, match="the goal is in collision"):
+            load(tmp_path / "hand.toml")
+        return
+    notes = load(tmp_path / "hand.toml").notes
+    assert any(note.startswith("the goal has") and "0.03 m in each other" in note for note in notes) == told

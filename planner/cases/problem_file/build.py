@@ -73,6 +73,7 @@ from planner.cases.problem_file.feasibility_checks import (
     check_goal_in_time,
     check_momentum,
     deep_at_start,
+    overlap_at_goal,
 )
 from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
 from planner.cases.problem_file.keys import DEFAULTS, KEYS, RESOLVED, TABLES, VALUES
@@ -174,7 +175,7 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
             f"periodic has {cycles} cycles of {problem.N} stages, expected at most {MAX_STAGES} stages together."
         )
     given, reasons = problem.parameters, problem.parameters[RESOLVED]["reasons"]
-    notes = (*(reasons[key] for key in TOLD if key in reasons), *deep_at_start(problem))
+    notes = (*(reasons[key] for key in TOLD if key in reasons), *deep_at_start(problem), *overlap_at_goal(problem))
     return ProblemFile(
         problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes,
         given.get("work"), cycles, free,

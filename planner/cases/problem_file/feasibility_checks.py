@@ -14,10 +14,12 @@ from planner.dynamics.kinematics import center_of_mass, center_of_mass_jacobian
 from planner.dynamics.protocol import rollout_states
 from planner.model.capabilities import capabilities_of, unreached_dofs
 from planner.model.coordinates import coordinates_of
+from planner.model.mjcf.facts import overlaps
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.model.space import space_of
+from planner.problem.constraints.clearance import model_index_of, pair_clearance_of
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.goals import ROUNDING, SHARE, goals_of
+from planner.problem.goals import MIN_TOLERANCES, ROUNDING, SHARE, goals_of
 from planner.problem.problem import Problem
 from planner.problem.tasks.momentum import undamped_floating_dofs
 from planner.problem.thrust import missing_thrust
@@ -122,6 +124,28 @@ def deep_at_start(problem: Problem) -> tuple[str, ...]:
         return ()
     name = mechanism.body_contacts[k].name or "two bodies that may touch"
     return (f"the start has {name} {float(depths[k]):.2g} m deep in each other, and their contact throws them apart.",)
+
+
+def overlap_at_goal(problem: Problem) -> tuple[str, ...]:
+    """A sentence about the two shapes of the file that are deepest in each other at the goal, and not at the start.
+
+    Less than a goal's tolerance is no matter. Where shapes are kept apart such a goal is refused.
+    """
+    mechanism, cost = capabilities_of(problem.dynamics).mechanism, tracking_of(problem.cost)
+    if mechanism is None or cost is None or not mechanism.mjcf or problem.periodic is not None:
+        return ()
+    if pair_clearance_of(problem.constraints) is not None:
+        return ()
+    model = model_index_of(mechanism).model
+    start, goal = (overlaps(model, x[: mechanism.nq]) for x in (problem.x0, cost.x_ref[-1]))
+    before = {one.shapes for one in start}
+    deep = [one for one in goal if one.depth > MIN_TOLERANCES["m"] and one.shapes not in before]
+    if not deep:
+        return ()
+    return (
+        f"the goal has {deep[0].shapes} {deep[0].depth:.2g} m in each other, and the proof's contact throws them "
+        "apart: move one of the two, or write `avoid = {}`, which looks for another pose, or refuses the goal.",
+    )
 
 
 def _check_thrust(problem: Problem, shortest: float) -> None:
