@@ -9,8 +9,11 @@ from planner.cases.problem_file import load
 from planner.problem.goals import goals_of
 
 TASKS = sorted((ROOT / "examples" / "tasks").glob("*.toml"))
-# 8 s for its poses, which the proof below shares; test_walking_gaits.py and test_periodic_gaits.py have shorter ones.
-LONG = dict.fromkeys(("through_a_window", "trot", "walk_on"), pytest.mark.slow)
+# 5 s and more, which the proofs below share: those are slow too, so a plan is made once. Shorter ones of their kinds:
+# test_walking_gaits.py, test_periodic_gaits.py, test_vehicles.py, and test_avoid.py.
+LONG = dict.fromkeys(
+    ("around_a_post", "differential_drive", "through_a_window", "trot", "walk", "walk_on"), pytest.mark.slow
+)
 
 
 @pytest.fixture(scope="module")

@@ -87,9 +87,9 @@ def test_the_pusher_moves_a_trolley_that_no_motor_drives():
 def test_a_name_stands_for_its_file(tmp_path):
     with pytest.raises(planner.PlannerError, match=r"expected planner.load_problem\('lander'\)"):
         planner.cases.build("lander")
-    shown = run("list", "lander", cwd=tmp_path).stdout
-    assert FILES["lander"].read_text(encoding="utf-8") in shown
+    shown = run("list", "monopod", cwd=tmp_path).stdout
+    assert FILES["monopod"].read_text(encoding="utf-8") in shown
     refused(run("run", "landr", cwd=tmp_path), "Did you mean 'lander'?")
-    done = run("solve", "lander", "--out", "a.npz", cwd=tmp_path)
+    done = run("solve", "monopod", "--out", "a.npz", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert planner.load_plan(tmp_path / "a.npz").converged

@@ -125,7 +125,11 @@ AHEAD = '[[goal]]\nframe = "base"\nposition = [1, 0, 0.06]'
 TURN = '[[goal]]\nframe = "base"\nposition = [0, 0, 0.06]\norientation = { yaw = 90 }'
 
 
-@pytest.mark.parametrize("goal", [AHEAD, "goal = { root = [1, 0, 0.06, 1, 0, 0, 0] }", TURN])
+PLAIN = "goal = { root = [1, 0, 0.06, 1, 0, 0, 0] }"
+GOALS = [PLAIN, pytest.param(AHEAD, marks=pytest.mark.slow), pytest.param(TURN, marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("goal", GOALS, ids=["plain", "ahead", "turn"])
 def test_servos_of_velocity_drive_a_metre_and_turn(tmp_path, goal):
     """To tell a wheel to roll as the vehicle goes is no effort, and a plain goal leaves open how far it turns.
 
