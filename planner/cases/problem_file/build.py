@@ -368,8 +368,7 @@ def _built(
     else:
         cost, wanted = cost_of(way, dynamics, weights)
     kept = (*asked, *(() if apart is None else (apart.constraint,)), *constraints)
-    appearance = default_appearance(mechanism, prescribed)
-    appearance = with_marks(appearance, None if way is None else way.task, kept)
+    appearance = with_marks(default_appearance(mechanism, prescribed), None if way is None else way.task, kept)
     problem = Problem(
         dynamics, cost, x0, recipe=Recipe(NAME, table, build, {} if way is None else {"poses": way.poses.table}),
         appearance=replace(appearance, title=table["title"] or appearance.title),
