@@ -35,7 +35,7 @@ def test_the_loss_is_full_at_higher_speeds(problem):
 
 
 def test_a_hop_that_is_stuck_in_the_kink_gets_out_of_it(problem):
-    """Through smoother friction; or, where a processor's rounding has that stuck as well, on through softer contacts."""
+    """Through smoother friction; or, where rounding has that stuck as well, on through softer contacts."""
     plan = planner.solve(problem)
     steps = plan.options["relaxation"]["steps"]
     assert [tuple(step[:2]) for step in steps[:2]] == [("direct", 1.0), ("friction", SMOOTHER)]
