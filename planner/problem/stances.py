@@ -7,7 +7,6 @@ BOUND of one has ignored it: so does a jump that stays on the ground.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,19 +42,15 @@ def stances_of_phases(
 
 
 def stances_of_swings(names: list[str], swings: list[list[tuple[float, float]]]) -> tuple[Stance, ...]:
-    """Those of a gait: of each foot its swings, s, and the times between two of them."""
-    found = []
-    for name, own in zip(names, swings, strict=True):
-        between = tuple((end, begin) for (_, end), (begin, _) in pairwise(own))
-        found.append(Stance(f"swings of {name}", tuple(own), (), (name,)))
-        found.append(Stance(f"stances of {name}", between, (name,), ()))
-    return tuple(found)
+    """Those of a gait: of each foot its swings, s. Between them others may bear what it could."""
+    return tuple(Stance(f"swings of {name}", tuple(own), (), (name,)) for name, own in zip(names, swings, strict=True))
 
 
 def kept_shares(stances: Sequence[Stance], dynamics: Any, t: np.ndarray, xs: np.ndarray) -> list[float]:
-    """In which share of its time each stance is kept by states xs (M, nx) at times t (M,), %: all feet are as asked.
+    """In which share of its time each stance is kept by states xs (M, nx) at times t (M,), %.
 
-    Those in which no time lies are kept.
+    It is where all feet are in the air that are to swing, and a foot bears load of those that are to stand: of many
+    feet some may carry next to nothing. Those in which no time lies are kept.
     """
     mechanism = capabilities_of(dynamics).mechanism
     if not stances or mechanism is None:
@@ -67,8 +62,10 @@ def kept_shares(stances: Sequence[Stance], dynamics: Any, t: np.ndarray, xs: np.
         at, kept = np.zeros(len(t), dtype=bool), np.ones(len(t), dtype=bool)
         for begin, end in one.spans:
             at |= (t > begin) & (t < end)
-        for name in bears.keys() & {*one.stand, *one.swing}:
-            kept &= bears[name] == (name in one.stand)
+        for name in bears.keys() & {*one.swing}:
+            kept &= ~bears[name]
+        if down := bears.keys() & {*one.stand}:
+            kept &= np.any([bears[name] for name in down], axis=0)
         shares.append(100.0 * float(kept[at].mean()) if at.any() else 100.0)
     return shares
 
