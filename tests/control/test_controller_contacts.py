@@ -23,7 +23,9 @@ def test_a_monopod_hops_on_from_where_it_landed_in_spite_of_pushes(monopod):
         loop = planner.simulate(
             monopod, latency=0.02, duration=1.5, start=x, pushes=[planner.Push("trunk", force, 0.4)]
         )
-        assert planner.judge(loop).passed
+        # At its goal and at rest, within tolerances; for how long before depends on the hop, and so on the processor.
+        np.testing.assert_allclose(loop.xs[-1, [0, 2, 3]], [0.5, 0.0, 0.15], atol=0.02)
+        np.testing.assert_allclose(loop.xs[-1, 4:], 0.0, atol=0.05)
         assert (monopod.failures, monopod.plans) == (0, 74)  # of 75 begun
         assert loop.contact_force.min() == 0.0 < loop.contact_force.max()  # it leaves the ground
         x = loop.xs[-1] - np.array([0.5, *np.zeros(7)])
