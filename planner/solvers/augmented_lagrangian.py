@@ -63,7 +63,7 @@ def augmented_lagrangian(
         return plan
     tightenings, violations = 0, list[float]()  # largest of each round since the last tightening
     for round_ in range(options.max_outer_iterations):
-        error = _error(constraints, penalties, plan)
+        error, is_minimum = _error(constraints, penalties, plan), True
         if plan.status is Status.INTERRUPTED:
             return replace(plan, history=tuple(history), bound_penalties=penalties if round_ else first)
         if error.max(initial=0.0) <= tolerance:
@@ -81,6 +81,7 @@ def augmented_lagrangian(
                 penalties, history = again or constraints.zero_penalties(), history + lines
             else:
                 penalties = penalties._replace(lower=penalties.lower + more, upper=penalties.upper - less)
+                is_minimum = not penalties.weight.any()
             error, before = _error(constraints, penalties, plan), np.full(constraints.size, np.inf)
             violations = []
         violations.append(float(error.max()))
@@ -88,11 +89,12 @@ def augmented_lagrangian(
             break
         if len(history) > max_iterations:
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, bound_penalties=penalties)
-        penalties = (
-            _initial_penalties(constraints, plan, penalties, options)
-            if round_ == 0 or not penalties.weight.any()  # the first violation may be one between knots
-            else _updated_penalties(constraints, penalties, plan, error, before, options)
-        )
+        if is_minimum:  # of these penalties: elsewhere their slopes are no multipliers
+            penalties = (
+                _initial_penalties(constraints, plan, penalties, options)
+                if round_ == 0 or not penalties.weight.any()  # the first violation may be one between knots
+                else _updated_penalties(constraints, penalties, plan, error, before, options)
+            )
         before, inexact = error.max(axis=0), 0.0
         if error.max() > options.exact_rounds_violation * tolerance:
             inexact = _inexact_reduction(penalties, error, options) / max(1.0, abs(plan.cost))
