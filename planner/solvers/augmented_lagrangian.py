@@ -61,7 +61,7 @@ def augmented_lagrangian(
     penalties, before = first or constraints.zero_penalties(), np.full(constraints.size, np.inf)
     if plan.status is Status.NOT_FINITE:
         return plan
-    tightenings, violations = 0, list[float]()  # largest of each round since the last tightening
+    inexact, tightenings, violations = 0.0, 0, list[float]()  # largest of each round since the last tightening
     for round_ in range(options.max_outer_iterations):
         error, is_minimum = _error(constraints, penalties, plan), True
         if plan.status is Status.INTERRUPTED:
@@ -70,6 +70,10 @@ def augmented_lagrangian(
             assert plan.problem is not None  # set by solve()
             more, less, through = constraints.violation_between_knots(plan.problem.dynamics, plan.xs, plan.us)
             if tightenings == options.max_tightenings or not (more.any() or less.any()):
+                if inexact and len(history) <= max_iterations:
+                    plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), 0.0)
+                    history, inexact = history + list(plan.history), 0.0
+                    continue
                 status = Status.OUTSIDE_LIMITS if more[:, constraints.split :].any() else plan.status
                 return replace(
                     plan, history=tuple(history), status=status, bound_penalties=penalties if round_ else first
@@ -100,9 +104,6 @@ def augmented_lagrangian(
             inexact = _inexact_reduction(penalties, error, options) / max(1.0, abs(plan.cost))
         plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), inexact)
         history += plan.history
-        if inexact and len(history) <= max_iterations and _error(constraints, penalties, plan).max() <= tolerance:
-            plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), 0.0)
-            history += plan.history
     status = plan.status if _error(constraints, penalties, plan).max() <= tolerance else Status.OUTSIDE_LIMITS
     return replace(plan, history=tuple(history), status=status, bound_penalties=penalties)
 
