@@ -7,7 +7,8 @@
     until    violations are within the tolerance, and no multiplier acts at a bound that is not active
 
 Where clearances or ranges are violated between knots, those of the affected stages are tightened, and the rounds
-continue.
+continue. The plan is no minimum with the tightened bounds, so the slopes of its penalties are no multipliers: the
+bounds move with the old ones, and the next update comes after a solve.
 
 The first round has no penalties, and is the only one if its result has no violation. The second takes its weights from
 the result of the first, as ALGENCAN does (Birgin and Martinez 2014): the penalties then cost about as much as J, those
@@ -17,6 +18,7 @@ motion touches an obstacle by one stage or so, while soft ones act on many knots
 
 Rounds whose violation far exceeds the tolerance end before their minimum (inexact augmented Lagrangian; Bertsekas 1982,
 section 2.5): the error of the states is then small against the violation that the round is to reach. So does the first.
+The last round is solved to its end once nothing is left to tighten.
 """
 
 from __future__ import annotations
@@ -74,7 +76,8 @@ def augmented_lagrangian(
                     plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), 0.0)
                     history, inexact = history + list(plan.history), 0.0
                     continue
-                status = Status.OUTSIDE_LIMITS if more[:, constraints.split :].any() else plan.status
+                status = Status.MAX_ITERATIONS if inexact else plan.status
+                status = Status.OUTSIDE_LIMITS if more[:, constraints.split :].any() else status
                 return replace(
                     plan, history=tuple(history), status=status, bound_penalties=penalties if round_ else first
                 )
@@ -85,7 +88,7 @@ def augmented_lagrangian(
                 penalties, history = again or constraints.zero_penalties(), history + lines
             else:
                 penalties = penalties._replace(lower=penalties.lower + more, upper=penalties.upper - less)
-                is_minimum = not penalties.weight.any()
+                is_minimum = round_ == 0 or not penalties.weight.any()  # then weights are still to be found
             error, before = _error(constraints, penalties, plan), np.full(constraints.size, np.inf)
             violations = []
         violations.append(float(error.max()))
@@ -104,7 +107,8 @@ def augmented_lagrangian(
             inexact = _inexact_reduction(penalties, error, options) / max(1.0, abs(plan.cost))
         plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), inexact)
         history += plan.history
-    status = plan.status if _error(constraints, penalties, plan).max() <= tolerance else Status.OUTSIDE_LIMITS
+    status = Status.MAX_ITERATIONS if inexact else plan.status
+    status = status if _error(constraints, penalties, plan).max() <= tolerance else Status.OUTSIDE_LIMITS
     return replace(plan, history=tuple(history), status=status, bound_penalties=penalties)
 
 
