@@ -3,7 +3,7 @@
 The target is MAX_RATIO times as many, or MAX_ITERATIONS in all. Torques and speeds of the two-link arm are bounded by
 shares of the largest ones of its free plan, from the case's own first guess, from the straight line of states and from
 random starts. With the site-packages that have example-robot-data, a Panda goes from one end of its ranges to the other
-within its limits. Counts do not depend on the computer.
+within its limits. Counts depend on rounding, so a little on the processor.
 """
 
 from __future__ import annotations

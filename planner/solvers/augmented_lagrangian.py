@@ -76,7 +76,7 @@ def augmented_lagrangian(
                     plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), 0.0)
                     history, inexact = history + list(plan.history), 0.0
                     continue
-                status = Status.MAX_ITERATIONS if inexact else plan.status
+                status = _status(plan, inexact)
                 status = Status.OUTSIDE_LIMITS if more[:, constraints.split :].any() else status
                 return replace(
                     plan, history=tuple(history), status=status, bound_penalties=penalties if round_ else first
@@ -97,19 +97,20 @@ def augmented_lagrangian(
         if len(history) > max_iterations:
             return replace(plan, history=tuple(history), status=Status.MAX_ITERATIONS, bound_penalties=penalties)
         if is_minimum:  # of these penalties: elsewhere their slopes are no multipliers
-            penalties = (
-                _initial_penalties(constraints, plan, penalties, options)
-                if round_ == 0 or not penalties.weight.any()  # the first violation may be one between knots
-                else _updated_penalties(constraints, penalties, plan, error, before, options)
-            )
+            penalties = _updated_penalties(constraints, penalties, plan, error, before, options)
         before, inexact = error.max(axis=0), 0.0
         if error.max() > options.exact_rounds_violation * tolerance:
             inexact = _inexact_reduction(penalties, error, options) / max(1.0, abs(plan.cost))
         plan = minimize(plan.us, penalties, max_iterations + 1 - len(history), len(history), inexact)
         history += plan.history
-    status = Status.MAX_ITERATIONS if inexact else plan.status
+    status = _status(plan, inexact)
     status = status if _error(constraints, penalties, plan).max() <= tolerance else Status.OUTSIDE_LIMITS
     return replace(plan, history=tuple(history), status=status, bound_penalties=penalties)
+
+
+def _status(plan: Plan, inexact: float) -> Status:
+    """The status of a last round; one that was to end before its minimum has not converged."""
+    return Status.MAX_ITERATIONS if inexact and plan.status is Status.CONVERGED else plan.status
 
 
 def _has_stalled(violations: list[float], options: SolverOptions) -> bool:
@@ -170,33 +171,29 @@ def _error(constraints: TrajectoryConstraints, penalties: BoundPenalties, plan: 
     return np.where(exact, np.abs(e - np.where(exact, upper, 0.0)), np.maximum(np.abs(above), np.abs(below)))
 
 
-def _initial_penalties(
-    constraints: TrajectoryConstraints, plan: Plan, first: BoundPenalties, options: SolverOptions
-) -> BoundPenalties:
-    """Weights from cost and violation of the first round; updated multipliers where it had penalties."""
-    had, violation = first.weight > 0.0, constraints.violation(plan.xs, plan.us)
-    outside = float(np.sum(np.where(had, 0.0, violation) ** 2))
-    weight = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside if outside else 0.0
-    used = (np.isfinite(constraints.lower) | np.isfinite(constraints.upper)).astype(float)
-    used[:, : constraints.split] *= options.state_bound_penalty_factor
-    initial = BoundPenalties(constraints.lower.copy(), constraints.upper.copy(), weight * used)
-    if not had.any():
-        return initial
-    updated = _updated_penalties(constraints, first, plan, violation, np.full(constraints.size, np.inf), options)
-    return BoundPenalties(*(np.where(had, new, other) for new, other in zip(updated, initial, strict=True)))
-
-
 def _updated_penalties(
     constraints: TrajectoryConstraints, penalties: BoundPenalties, plan: Plan, error: np.ndarray, before: np.ndarray,
     options: SolverOptions,
 ) -> BoundPenalties:  # fmt: skip
-    """Multipliers after a solve, and larger weights where the violation did not fall enough."""
+    """Multipliers after a solve, larger weights where the violation did not fall enough, and first ones.
+
+    Bounds that have no weight yet take one from cost and violation, all of them once one of them is violated.
+    """
     e, weight = constraints.deviations(plan.xs, plan.us), penalties.weight
     low, high = np.maximum(penalties.lower - e, 0.0), np.maximum(e - penalties.upper, 0.0)  # multipliers over weights
     growth = np.where(error.max(axis=0) > options.required_violation_ratio * before, options.penalty_growth, 1.0)
     growth = np.where(weight.max(axis=0) * growth > options.max_penalty, 1.0, growth)
     lower, upper = shifted_bounds(constraints.lower, constraints.upper, low / growth, high / growth)
-    return BoundPenalties(lower, upper, weight * growth)
+    has_weight = weight > 0.0
+    outside = float(np.sum(np.where(has_weight, 0.0, constraints.violation(plan.xs, plan.us)) ** 2))
+    first = 2.0 * max(abs(plan.cost), np.finfo(float).tiny) / outside if outside else 0.0
+    first = first * (np.isfinite(constraints.lower) | np.isfinite(constraints.upper))
+    first[:, : constraints.split] *= options.state_bound_penalty_factor
+    return BoundPenalties(
+        np.where(has_weight, lower, constraints.lower),
+        np.where(has_weight, upper, constraints.upper),
+        np.where(has_weight, weight * growth, first),
+    )
 
 
 def shifted_bounds(

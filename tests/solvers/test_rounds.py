@@ -11,6 +11,7 @@ import pytest
 from planner import Constraint, FunctionDynamics, Limits, Problem, Status, TrackingCost, load_problem, solve
 from planner.cases import two_link
 from planner.problem.constraints import trajectory_constraints
+from planner.problem.constraints.trajectory_constraints import BoundPenalties
 from planner.solvers import augmented_lagrangian, slq
 from planner.solvers.engine import acquire_engine
 from planner.solvers.options import SolverOptions
@@ -170,3 +171,28 @@ def test_a_sweep_that_curvature_makes_indefinite_is_done_without():
     assert not engine.curved
     # The search for the active set is made here, too, though one with the curvature has failed.
     np.testing.assert_allclose(direction, other.compute_direction(0.0, True), rtol=1e-9)
+
+
+def test_bounds_without_weights_get_them_once_they_are_violated():
+    """As where the first round has weights of clearances alone, and keeps within the ranges."""
+    post = Constraint(lambda xs: np.hypot(xs[:, 0] - 0.5, xs[:, 1] - 0.4), lower=0.3, name="post", unit="m")
+    free = solve(point(post))
+
+    def soft(problem):
+        """Penalties of the post alone, which let the motion through a part of it."""
+        constraints = problem.trajectory_constraints
+        weight = np.zeros((N + 1, constraints.size))
+        weight[:, 0] = 10.0
+        return BoundPenalties(constraints.lower.copy(), constraints.upper.copy(), weight)
+
+    def aside(plan):
+        return np.max(plan.xs[:, 1] - plan.xs[:, 0])
+
+    first = slq._inner_solve(point(post), SolverOptions(), None, None, free.us, soft(point(post)), 100, 0)
+    assert aside(first) < aside(free) - 0.02
+    between = 0.2 * aside(first) + 0.8 * aside(free)
+    problem = point(post, Constraint(lambda xs: xs[:, 1] - xs[:, 0], upper=between, name="aside", unit="m"))
+    constraints = problem.trajectory_constraints
+    plan = slq._solve_from_guess(problem, SolverOptions(), None, soft(problem), free.us, 1000, None)
+    assert plan.status is Status.CONVERGED
+    assert constraints.violation(plan.xs, plan.us).max() <= constraints.tolerance
