@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from problem_files import arm, cured, tried
 
@@ -116,3 +117,23 @@ def test_a_fix_whose_plan_then_has_too_long_a_step_goes_on_at_a_finer_one(tmp_pa
     assert done.proof.passed
     assert [line.integrator for line in done.path] == ["euler", "rk4"]
     assert steps[-1].outcome == "applied"
+
+
+@pytest.mark.parametrize(("key", "value", "follows"), [("dt", 0.005, True), ("starts", 2, False)])
+def test_a_shorter_stage_is_tried_from_the_plan(tmp_path, key, value, follows):
+    """Not from the first guess: what was hard to find, as a contact, is not to be found again."""
+    problem = arm(tmp_path, weights={"final_position": 20}, dt=0.01)
+    plan, _ = tried(problem)
+    guesses = []
+
+    def solve(problem, max_iterations, purpose, budget):
+        guesses.append(problem)
+        return replace(plan, status=Status.MAX_ITERATIONS)
+
+    tools = Trials(problem, plan, solve, None, None, WorkBudget(1000.0), 10, lambda _: None)
+    FixTrials._tried(tools, [SuggestedFix("guess_runs_away", key=key, value=value)], plan)
+    (begun,) = guesses
+    repeated = np.repeat(plan.us, begun.N // plan.N, axis=0)
+    # Tracked, so not those controls to the bit; the file's own guess holds the arm and is far off.
+    near = np.abs(begun.first_guess - repeated).max() <= 0.1 * np.abs(plan.us).max()
+    assert near == follows

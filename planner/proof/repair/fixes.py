@@ -19,6 +19,7 @@ from planner.solvers.work import WorkBudget
 AUTOMATIC_KEYS = ("dt", "substeps", "integrator", "guess", "starts", "limits.margin", ITERATIONS)
 """Keys about the computation, in addition to the weights. Keys that change the task itself are the user's to set."""
 NOT_TRIED = ("contacts", "durations", "gait", "ignore", "model", "start", "work")  # read or search anew, want more work
+FROM_THE_PLAN = ("weights", "limits", "dt", "substeps", "integrator")  # of these, trials begin at the plan that failed
 SHARE = 0.5  # of the work that is left, at most, for the trial of a fix
 MIN_ITERATIONS = 20  # of a trial: fewer solve nothing that failed
 MAX_DURATIONS = 6  # maximum number tried, each 1.5 times the last: up to 7.6 times
@@ -42,7 +43,8 @@ class FixTrials:
     """Trials of a problem file's suggested fixes.
 
     Fixes of AUTOMATIC_KEYS come first, and the first that passes is applied. Those of other keys are tried and only
-    reported. Other weights and limits begin at the plan that has converged without them, if its stage is the problem's.
+    reported. Those of FROM_THE_PLAN begin at the plan that has converged without them, if its stage is theirs or a
+    multiple of it.
     """
 
     problem: Problem
@@ -126,7 +128,7 @@ class FixTrials:
         else:
             try:
                 problem = with_fixes(problem, fixes)
-                if _kind(one) in ("weights", "limits") and failed.converged and failed.N == problem.N:
+                if _kind(one) in FROM_THE_PLAN and failed.converged and problem.N % failed.N == 0:
                     problem = replace(problem, us=warm_start(failed, problem))
             except PlannerError as error:
                 self.report(FixTrial(one, "refused", str(error)))
