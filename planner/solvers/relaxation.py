@@ -277,30 +277,36 @@ class _Relaxation:
         return plan if self._report("friction", 1.0, plan, plan.converged and meets_goals(plan)) else None
 
     def _by_softer_contacts(self, direct: Plan) -> Plan | None:
-        """The plan of the problem that one of softer contacts leads to; None where its branch ends before.
+        """The plan of the problem that one of softer contacts leads to, or None.
 
-        What stands on softer ground stands lower, so that only the last plan has to meet the goals; one that costs as
-        much as that before is on its branch, and lacks weight. The first one need not have converged.
+        What stands on softer ground stands lower: only the last plan has to meet the goals, and one that costs as much
+        as that before lacks weight. The first need not converge. Where the branch ends before, the cheapest attempt at
+        the problem itself goes on, if it is promising.
         """
-        costs = list[float]()
+        costs, attempts = list[float](), list[Plan]()
+
+        def report(s: float, plan: Plan, kept: bool) -> None:
+            attempts.extend([plan] * (s == 0.0))
+            self._report("contacts", math.exp(s), plan, kept)
 
         def is_kept(plan: Plan) -> bool:
-            converged = plan.status is Status.CONVERGED
             if plan.problem is self.problem:
-                same_branch = bool(costs) and plan.cost <= costs[-1] + NEAR * abs(costs[-1])
-                return meets_goals(plan) or (converged and same_branch)
-            costs.extend([plan.cost] if converged else [])
-            return converged or is_cheaper(plan, direct, BETTER_SHARE)
+                return meets_goals(plan) or (bool(costs) and plan.cost <= costs[-1] + NEAR * abs(costs[-1]))
+            costs.extend([plan.cost] if plan.status is Status.CONVERGED else [])
+            return plan.status is Status.CONVERGED or is_cheaper(plan, direct, BETTER_SHARE)
 
         family = SofterContacts(self.problem)
-        continuation = replace(self._continuation("contacts", family), meets_goals=is_kept)
-        soft = self._solve(family.at(family.factor), self.off_saddle, continuation.look_iterations)
+        branch = replace(self._continuation("contacts", family), meets_goals=is_kept, report=report)
+        soft = self._solve(family.at(family.factor), self.off_saddle, branch.look_iterations)
         comparable = direct.status is not Status.OUTSIDE_LIMITS and math.isfinite(direct.cost)
         harder = comparable and soft.cost > EASIER * max(1.0, direct.cost) and not meets_goals(soft)
         if not self._report("contacts", family.factor, soft, bool(np.isfinite(soft.xs).all()) and not harder):
             return None
-        s, plan = continuation.run(math.log(family.factor), soft)
-        return plan if s == 0.0 else None
+        s, plan = branch.run(math.log(family.factor), soft)
+        if s == 0.0:
+            return plan
+        better = [one for one in attempts if may_replace(one, direct) and is_promising(one, direct)]
+        return self._resumed(min(better, key=lambda one: one.cost), self.options.max_iterations) if better else None
 
     def _is_near(self, direct: Plan) -> bool:
         """Whether a plan is at its goals, or lacks weight for them, on feet that stay or at a cost that has settled."""

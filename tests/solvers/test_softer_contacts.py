@@ -129,6 +129,43 @@ def test_a_solve_that_steps_and_has_settled_at_its_goals_goes_on_before_softer_c
     assert [step[0] for step in record["steps"][:2]] == ["direct", second]
 
 
+def test_the_cheapest_attempt_goes_on_where_the_branch_of_softer_contacts_ends(rise):
+    """A quadruped's leap: the direct solve had cost 195 and went on to 124, an attempt 3.5, and it goes on to 3."""
+    plan, _ = rise
+    away = replace(plan, xs=np.repeat(plan.xs[:1], len(plan.xs), axis=0), status=Status.MAX_ITERATIONS)
+    direct = replace(away, cost=100.0)
+    costs, begun = iter((7.0, 4.0, *[9.0] * 20)), []
+
+    def solve_one(problem, options, states, penalties, us, iterations, callback):
+        if problem is not plan.problem:
+            return replace(away, cost=1.0, status=Status.CONVERGED, problem=problem)  # of softer contacts
+        if begun and us is begun[-1].us:
+            return replace(plan, cost=3.0)
+        attempt = replace(away, cost=next(costs), us=us.copy())
+        begun.extend([attempt] if attempt.cost == 4.0 else [])
+        return attempt
+
+    found, record = relax(plan.problem, direct, solve_one, SolverOptions(), None)
+    assert found.cost == 3.0
+    assert record["steps"][-1][0] == "resumed"
+
+
+def test_an_attempt_on_the_branch_of_softer_contacts_goes_on_until_it_converges(rise):
+    plan, _ = rise
+    away = replace(plan, xs=np.repeat(plan.xs[:1], len(plan.xs), axis=0), status=Status.MAX_ITERATIONS)
+    allowed = []
+
+    def solve_one(problem, options, states, penalties, us, iterations, callback):
+        if problem is not plan.problem:
+            return replace(away, cost=1.0, status=Status.CONVERGED, problem=problem)
+        allowed.append(iterations)
+        return replace(plan if len(allowed) > 1 else away, cost=1.05)  # within NEAR of the softer one's
+
+    found, _ = relax(plan.problem, replace(away, cost=100.0), solve_one, SolverOptions(), None)
+    assert found.converged
+    assert allowed == [60, 1000]
+
+
 @pytest.mark.slow  # a jump takes 10 s
 def test_it_is_the_same_bit_for_bit_each_time_and_is_stored(problem, jump, tmp_path):
     assert np.array_equal(planner.solve(problem).us, jump.us)
