@@ -165,7 +165,7 @@ TRY = """<script>addEventListener("load", () => setTimeout(() => {
   const differ = (a, b) => a.filter((value, k) => Math.abs(value - b[k]) > 12).length / a.length;
   try {
     [...document.querySelectorAll("#view-tabs button")].find(one => one.textContent === "3-D view")?.click();
-    plannerView.pose(Math.round(0.3 * (plannerView.frames - 1)));
+    plannerView.pose(Math.round(0.5 * (plannerView.frames - 1)));
     const first = drawn();
     done.nothing = differ(first, drawn());
     for (const label of figure.querySelectorAll("label")) {
