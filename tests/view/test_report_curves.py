@@ -177,3 +177,12 @@ def test_without_scripts_the_curves_are_there_and_no_empty_control(tmp_path):
     dom = dom_of(tmp_path / "bare.html")
     assert dom.count("<polyline") >= 9
     assert 'type="range"' not in dom
+
+
+def test_a_curve_leaves_its_unit_to_the_axis():
+    """The hopper's flow, in/s shares its panel with the piston, in."""
+    plan = planner.solve(planner.cases.hopper())
+    text = interactive(plan, None)
+    assert ">flow</span>" in text
+    assert "flow, in/s</span>" not in text
+    assert ">flow, in/s</text>" in text

@@ -2,12 +2,11 @@
 
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from chromium import WITHOUT_WEBGL, browse, with_browser
 from fake_plans import make_plan, make_proof
 from pages import Page
 from PIL import Image
@@ -18,21 +17,8 @@ from planner.view.plots.style import save
 from planner.view.render.encoder import Encoder
 from planner.view.report.page import write_report
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-with_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium: apt-get install chromium")
-
 SLIDES = """<mujoco><worldbody><body><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
   <joint type="slide"/><joint type="slide" axis="1 0 0"/></body></worldbody></mujoco>"""
-
-
-def browse(page, *flags):
-    """What Chromium prints and logs; it cannot reach any network."""
-    command = [
-        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--enable-logging=stderr",
-        "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={page.parent / 'profile'}", *flags, page.as_uri(),
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=True)
-    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +38,7 @@ def page(tmp_path_factory):
 
 @with_browser
 def test_a_browser_shows_the_verdict_and_complains_of_nothing(page):
-    dom, console = browse(page, "--dump-dom")
+    dom, console = browse(page, *WITHOUT_WEBGL, "--dump-dom")
     assert console == []
     assert re.search(r'<div class="verdict pass"[^>]*><strong>PASS</strong><span>\(open-loop\); feasible', dom)
     assert dom.count("<img ") == 2  # the page draws the curves of plots.png
@@ -75,7 +61,7 @@ def test_one_screen_has_verdict_film_controls_and_what_was_not_checked(tmp_path,
       document.body.dataset.ends = JSON.stringify([".verdict", "video", ".motion input", ".notes"].map(
         one => document.querySelector(one).getBoundingClientRect().bottom)); }, 500));</script></body>"""
     page.write_text(page.read_text(encoding="utf-8").replace("</body>", measure), encoding="utf-8")
-    dom, _ = browse(page, f"--window-size={width},{height}", "--virtual-time-budget=4000", "--dump-dom")
+    dom, _ = browse(page, *WITHOUT_WEBGL, f"--window-size={width},{height}", "--virtual-time-budget=4000", "--dump-dom")
     ends = json.loads(re.search(r'data-ends="([^"]*)"', dom)[1])
     assert 0.0 < max(ends) < height - 87.0  # which headless Chromium counts as its own frame
     assert ends[1] > 400.0  # the film is no stamp
@@ -84,7 +70,7 @@ def test_one_screen_has_verdict_film_controls_and_what_was_not_checked(tmp_path,
 @with_browser
 def test_the_test_would_see_what_a_browser_complains_of(tmp_path):
     (tmp_path / "broken.html").write_text("<script>console.error('broken'); nothing()</script>")
-    _, console = browse(tmp_path / "broken.html", "--dump-dom")
+    _, console = browse(tmp_path / "broken.html", *WITHOUT_WEBGL, "--dump-dom")
     assert any("broken" in line for line in console)
     assert any("nothing is not defined" in line for line in console)
 
@@ -93,7 +79,9 @@ def test_the_test_would_see_what_a_browser_complains_of(tmp_path):
 @pytest.mark.parametrize(("width", "flag"), [(1100, ""), (390, "--force-dark-mode")])
 def test_the_verdict_is_seen_first_in_light_and_in_dark(page, tmp_path, width, flag):
     shot = tmp_path / "shot.png"
-    _, console = browse(page, f"--window-size={width},4000", f"--screenshot={shot}", *filter(None, [flag]))
+    _, console = browse(
+        page, *WITHOUT_WEBGL, f"--window-size={width},4000", f"--screenshot={shot}", *filter(None, [flag])
+    )
     assert console == []
     picture = np.asarray(Image.open(shot).convert("RGB")).astype(int)
     assert picture.shape == (4000, width, 3)

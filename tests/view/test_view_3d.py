@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import html
 import json
 import re
 from importlib.resources import files
@@ -10,11 +11,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from chromium import WITH_WEBGL, WITHOUT_WEBGL, browse, with_browser
 
 import planner
 from planner.view.render.environment import visible_model
 from planner.view.report.page import write_report
-from planner.view.report.view_3d import drawn_shapes, film_of, mesh_of, simplified, view_data
+from planner.view.report.view_3d import MOST_ENDS, drawn_shapes, ends, film_of, mesh_of, simplified, view_data
 
 ROOT = Path(__file__).parents[2]
 ASSETS = files("planner.view") / "assets"
@@ -121,3 +123,95 @@ def test_three_js_is_the_one_that_notice_names():
     assert f"three@{version} " in (ROOT / "Makefile").read_text(encoding="utf-8")
     assert f'"{version.split(".")[1]}"' in (ASSETS / "three.min.js").read_text(encoding="utf-8")  # its REVISION
     assert "MIT License" in (ASSETS / "LICENSE-three.txt").read_text(encoding="utf-8")
+
+
+BRANCHES = """<mujoco><worldbody>
+  <body name="base"><joint/><geom size="0.1"/>
+    <body name="arm" pos="0 0 1"><joint/><geom size="0.1"/><site name="elbow" pos="0 0 0.2"/>
+      <body name="hand" pos="0 0 0.5"><geom size="0.1"/></body></body>
+    <body name="foot" pos="0 0 -1"><joint/><geom size="0.1"/><site name="sole" pos="0 0 -0.3"/></body></body>
+  <body name="belt"><joint type="slide"/><geom size="0.1"/></body></worldbody></mujoco>"""
+
+
+def test_ends_are_the_farthest_frames_of_the_last_bodies_of_the_machine():
+    """A hand that is welded to its arm and a sole, but no base, no elbow and no belt."""
+    model = mujoco.MjModel.from_xml_string(BRANCHES)
+    scenery = np.arange(model.nbody) == model.body("belt").id
+    assert ends(model, scenery) == ("hand", "sole")
+    assert "belt" in ends(model, scenery & False)
+
+
+def test_ends_of_a_hand_of_many_fingers_are_not_drawn():
+    fingers = "".join(f'<body name="{k}"><joint/><geom size="0.1"/></body>' for k in range(MOST_ENDS + 1))
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{fingers}</worldbody></mujoco>")
+    assert ends(model, np.zeros(model.nbody, dtype=bool)) == ()
+
+
+def test_a_floor_with_a_picture_has_no_colour_of_its_own(data):
+    """The hopper's has squares, which the view paints itself."""
+    assert [shape["colour"] for shape in data["shapes"] if shape["kind"] == "plane"] == [[1.0, 1.0, 1.0, 1.0]]
+
+
+# What the page's reader may do, and what the canvas then shows: the share of its pixels that differ.
+TRY = """<script>addEventListener("load", () => setTimeout(() => {
+  const done = {}, figure = document.getElementById("view"), canvas = figure.querySelector("canvas");
+  const drawn = () => {
+    const copy = Object.assign(document.createElement("canvas"), {width: canvas.width, height: canvas.height});
+    const one = copy.getContext("2d");
+    plannerView.draw();
+    one.drawImage(canvas, 0, 0);
+    return one.getImageData(0, 0, copy.width, copy.height).data;
+  };
+  const differ = (a, b) => a.filter((value, k) => Math.abs(value - b[k]) > 12).length / a.length;
+  try {
+    [...document.querySelectorAll("#view-tabs button")].find(one => one.textContent === "3-D view")?.click();
+    plannerView.pose(Math.round(0.5 * (plannerView.frames - 1)));
+    const first = drawn();
+    done.nothing = differ(first, drawn());
+    for (const label of figure.querySelectorAll("label")) {
+      label.click();
+      done[label.textContent.trim()] = differ(first, drawn());
+      label.click();
+    }
+    done.again = differ(first, drawn());
+    const slider = figure.querySelector("input[type=range]");
+    slider.value = 1;
+    slider.dispatchEvent(new Event("input"));
+    done.scrubbed = differ(first, drawn());
+    done.time = figure.querySelector("output").value;
+    const at = (type, x, y) => canvas.dispatchEvent(new PointerEvent(type, {pointerId: 1, button: 0, buttons: 1,
+      clientX: x, clientY: y, pageX: x, pageY: y, bubbles: true, pointerType: "mouse"}));
+    canvas.setPointerCapture = canvas.releasePointerCapture = () => {};
+    const last = drawn();
+    at("pointerdown", 300, 300); at("pointermove", 420, 340); at("pointerup", 420, 340);
+    done.turned = differ(last, drawn());
+    figure.querySelector(".keys button").click();
+    done.home = differ(last, drawn());
+  } catch (error) { done.error = String(error); }
+  document.body.dataset.done = JSON.stringify(done);
+}, 300));</script></body>"""
+
+
+@with_browser
+def test_a_reader_turns_the_view_moves_its_time_and_hides_what_he_does_not_want(proof, tmp_path):
+    page = write_report(proof.replay.plan, proof, tmp_path)
+    page.write_text(page.read_text(encoding="utf-8").replace("</body>", TRY), encoding="utf-8")
+    dom, console = browse(page, *WITH_WEBGL, "--window-size=800,900", "--virtual-time-budget=20000", "--dump-dom")
+    done = json.loads(html.unescape(re.search(r'data-done="([^"]*)"', dom)[1]))
+    assert [line for line in console if "GPU stall" not in line] == []  # reading the canvas, which no reader does
+    assert "error" not in done
+    assert done["nothing"] == done["again"] == 0.0
+    assert all(1e-4 < done[layer] < 0.1 for layer in ("ghost", "trails and goals", "contact forces"))
+    assert 0.01 < done["scrubbed"] < 0.3
+    assert done["time"] == f"t = {proof.replay.t[-1]:.3f} s"
+    assert done["turned"] > 0.1
+    assert done["home"] < 1e-3
+
+
+@with_browser
+def test_without_webgl_the_page_does_without_the_view(proof, tmp_path):
+    page = write_report(proof.replay.plan, proof, tmp_path)
+    dom, console = browse(page, *WITHOUT_WEBGL, "--dump-dom")
+    assert console == []
+    assert re.search(r'<figure id="view" hidden', dom)
+    assert "view-tabs" not in re.sub(r"<script.*?</script>", "", dom, flags=re.DOTALL)

@@ -70,6 +70,7 @@
     svg.addEventListener("pointerleave", () => { hovered = false; if (film) show(ofFilm()); });
     svg.addEventListener("click", event => seek(timeAt(svg, event)));
   });
+  document.addEventListener("planner-shown", event => { if (!hovered) show(clip(event.detail)); });  // by the 3-D view
   slider.addEventListener("input", () => { if (film) film.pause(); seek(+slider.value); });
   if (film) {
     const follow = () => { if (!hovered) show(ofFilm()); if (!film.paused) requestAnimationFrame(follow); };

@@ -37,8 +37,13 @@
     const T = globalThis.THREE, scene = new T.Scene(), eye = data.camera, span = eye.distance;
     const renderer = new T.WebGLRenderer({canvas, antialias: true, alpha: true});
     const camera = new T.PerspectiveCamera(eye.fovy, 16 / 9, 0.01 * span, 60 * span);
+    scene.fog = new T.Fog(0xe9eef3, 4 * span, 25 * span);  // the middle of the background: floors have no edge
     camera.up.set(0, 0, 1);
     const controls = new T.OrbitControls(camera, canvas), rad = Math.PI / 180;
+    let stale = true;  // what is drawn is no longer what is to be seen
+    controls.addEventListener("change", () => { stale = true; });
+    canvas.addEventListener("webglcontextrestored", () => { stale = true; });
+    controls.listenToKeyEvents(canvas);  // arrows move, with Shift they turn
     function home() {
       const [az, el] = [eye.azimuth * rad, eye.elevation * rad];
       controls.target.set(...eye.target);
@@ -47,10 +52,12 @@
       follow(now, true);
       controls.update();
     }
-    scene.add(new T.HemisphereLight(0xffffff, 0x9a9a9a, 1.8));
-    const lamp = new T.DirectionalLight(0xffffff, 1.3);  // goes with the camera: no side is black
-    camera.add(lamp);
-    scene.add(camera);
+    const sky = new T.HemisphereLight(0xffffff, 0x9a9a9a, 2.2), lamp = new T.DirectionalLight(0xffffff, 1.4);
+    sky.position.set(0, 0, 1);
+    lamp.position.set(-0.6 * span, 0.8 * span, 0);  // over the reader's left shoulder: no side that he sees is black
+    lamp.target.position.set(0, 0, -span);
+    camera.add(lamp, lamp.target);
+    scene.add(camera, sky);
 
     const up = new T.Vector3(0, 1, 0), vector = new T.Vector3();
     const colour = rgba => new T.Color().setRGB(rgba[0], rgba[1], rgba[2], T.SRGBColorSpace);
@@ -75,7 +82,20 @@
       if (shape.kind === "ellipsoid") return new T.SphereGeometry(1, 32, 16).scale(a, b, c);
       if (shape.kind === "capsule") return new T.CapsuleGeometry(a, 2 * c, 12, 24).rotateX(Math.PI / 2);
       if (shape.kind === "cylinder") return new T.CylinderGeometry(a, a, 2 * c, 32).rotateX(Math.PI / 2);
-      return new T.PlaneGeometry(2 * (a || 8 * span), 2 * (b || 8 * span));
+      return new T.PlaneGeometry(2 * (a || FAR), 2 * (b || FAR));
+    }
+    // A floor has squares in its colour, which tell how far something moves and where down is.
+    const FAR = 30 * span, squares = new T.DataTexture(new Uint8Array([216, 194, 194, 216].flatMap(
+      grey => [grey, grey, grey, 255])), 2, 2);
+    squares.wrapS = squares.wrapT = T.RepeatWrapping;
+    squares.colorSpace = T.SRGBColorSpace;
+    squares.minFilter = T.LinearMipmapLinearFilter;  // in the distance their mean, or they would flicker
+    squares.generateMipmaps = true;
+    squares.anisotropy = 4;
+    function pave(mesh, [a, b]) {
+      const map = mesh.material.map = squares.clone(), side = span / 4;  // of two squares
+      map.repeat.set(Math.round(2 * (a || FAR) / side) || 1, Math.round(2 * (b || FAR) / side) || 1);
+      map.needsUpdate = true;
     }
     // One group of shapes for each body, of the machine and of its ghost.
     const bodies = [], ghosts = [], ghost = new T.Group();
@@ -94,20 +114,11 @@
         const mesh = new T.Mesh(form, paint(rgba, flat, rgba === faint));
         mesh.position.set(x, y, z);
         mesh.quaternion.set(i, j, k, w);
+        if (shape.kind === "plane") pave(mesh, shape.size);
         group.add(mesh);
       };
       put(shape.body < 0 ? scene : bodies[shape.body], shape.colour);
       if (shape.ghost) put(ghosts[shape.body], faint);
-      if (shape.kind === "plane") {
-        const grid = new T.GridHelper(16 * span, 64, 0x8a9097, 0x9aa1a8);
-        grid.rotateX(Math.PI / 2);
-        const holder = new T.Group();
-        holder.add(grid);
-        holder.position.set(x, y, z);
-        holder.quaternion.set(i, j, k, w);
-        grid.position.z = 1e-3 * span;
-        scene.add(holder);
-      }
     }
     const trails = new T.Group(), forces = new T.Group();
     for (const [points, rgba] of data.lines) {
@@ -156,7 +167,7 @@
 
     const poses = unpack(data.poses, Float32Array), planned = unpack(data.ghost, Float32Array);
     const pushes = unpack(data.forces, Float32Array), shift = data.shift && unpack(data.shift, Float32Array);
-    let now = 0, playing = false, before = 0, moved = new T.Vector3(), far = false;
+    let now = 0, playing = false, before = 0, moved = new T.Vector3(), sized = false;
     function place(groups, values, frame) {
       groups.forEach((group, b) => {
         const at = 7 * (frame * data.bodies + b);
@@ -191,6 +202,8 @@
       follow(now, false);
       slider.value = now / Math.max(1, frames - 1);
       words.value = "t = " + data.t[now].toFixed(3) + " s";
+      stale = true;
+      if (!figure.hidden) document.dispatchEvent(new CustomEvent("planner-shown", {detail: data.t[now]}));
     }
     slider.addEventListener("input", () => { playing = false; pose(Math.round(slider.value * (frames - 1))); });
 
@@ -200,7 +213,7 @@
       if (!there) continue;
       const label = document.createElement("label"), box = Object.assign(document.createElement("input"),
         {type: "checkbox", checked: true});
-      box.addEventListener("change", () => { layer.visible = box.checked; });
+      box.addEventListener("change", () => { layer.visible = box.checked; stale = true; });
       label.append(box, " " + name + " ");
       keys.append(label);
     }
@@ -213,10 +226,13 @@
     let clock = 0;
     function draw(time) {
       requestAnimationFrame(draw);
-      if (figure.hidden) return;
+      if (figure.hidden) {
+        stale = true;
+        return;
+      }
       const width = figure.clientWidth, height = Math.round(Math.min(width * 9 / 16, 0.72 * innerHeight));
-      if (canvas.clientWidth !== width || canvas.clientHeight !== height || !far) {
-        far = true;
+      if (canvas.clientWidth !== width || canvas.clientHeight !== height || !sized) {
+        sized = stale = true;
         renderer.setPixelRatio(Math.min(2, devicePixelRatio));
         renderer.setSize(width, height);
         camera.aspect = width / height;
@@ -230,7 +246,8 @@
       }
       play.textContent = playing ? "\u275a\u275a" : "\u25b6";
       controls.update();
-      renderer.render(scene, camera);
+      if (stale) renderer.render(scene, camera);
+      stale = false;
     }
     document.addEventListener("planner-time", event => {  // a click on a curve
       playing = false;
@@ -240,6 +257,7 @@
     home();
     playing = true;
     requestAnimationFrame(draw);
-    globalThis.plannerView = {frames, pose: frame => { playing = false; pose(frame); }, scene, camera};
+    globalThis.plannerView = {frames, pose: frame => { playing = false; pose(frame); },
+      draw: () => renderer.render(scene, camera)};
   }
 })();

@@ -107,12 +107,13 @@ def _charts(plan: Plan, replays: Sequence[Replay]) -> list[InteractiveChart]:
         for stepwise in (False, True):
             lines = []
             for curve, hue in zip([one for one in curves if one.stepwise == stepwise], cycle(HUES), strict=False):
+                name = curve.label.removesuffix(f", {unit_of(curve.label)}")  # the axis tells it
                 for kind, (t, values) in zip(["plan", *kinds], (curve.plan, *curve.replays), strict=False):
-                    lines.append(Line(curve.label, kind, t, values, _colour(kind, hue), stepwise))
+                    lines.append(Line(name, kind, t, values, _colour(kind, hue), stepwise))
                 sides = sides_of(plan, curve.index, stepwise=stepwise)
                 for side in () if sides is None else sides[:2]:
                     if np.isfinite(side).any():
-                        lines.append(Line(curve.label, "bound", plan.t, side, hue[0], stepwise))
+                        lines.append(Line(name, "bound", plan.t, side, hue[0], stepwise))
             ylabel = ", ".join(label for _, label in panel.controls) if mixed and stepwise else panel.ylabel
             if lines:
                 charts.append(InteractiveChart(panel.title, ylabel, tuple(lines)))

@@ -8,6 +8,7 @@ are those of the bodies that move, in single precision. Meshes of many triangles
 from __future__ import annotations
 
 import base64
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 RATE, MOST_FRAMES = 60.0, 900  # frames per second of the film's time; frames in all
 TRIANGLES = 120_000  # of all meshes of a page together: some 3 MB
 LEAST = 300  # of each
+MOST_ENDS = 5  # whose paths are drawn where the film draws none
 _ASPECT = 16.0 / 9.0  # width over height of the view
 _KINDS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")  # of mjtGeom
 
@@ -54,14 +56,15 @@ def film_of(replay: Replay) -> Film:
 def view_data(film: Film) -> dict[str, Any]:
     """What the script draws, as JSON values; lengths in m, colours 0 to 1, quaternions w first."""
     mujoco, model = load_mujoco(), visible_model([film])
-    seen = unobstructed(film, model)
+    seen, scenery = unobstructed(film, model), scenery_of(model, film.appearance)[0]
+    if not seen.trail:
+        film = replace(film, appearance=replace(film.appearance, trail=ends(model, scenery)))
     data = mujoco.MjData(model)
     data.qpos[:] = film.qpos[0]
     mujoco.mj_forward(model, data)
     shapes = drawn_shapes(model, data)
     moving = sorted({int(body) for body, *_ in shapes if model.body_weldid[body]})
     of_body = {body: number for number, body in enumerate(moving)}
-    scenery = scenery_of(model, seen)[0]
     listed, meshes = [], dict[int, int]()
     for body, kind, size, place, colour, mesh in shapes:
         one: dict[str, Any] = {"kind": kind, "size": _short(size), "at": _short(place), "colour": _short(colour)}
@@ -108,6 +111,8 @@ def drawn_shapes(model: Any, data: Any) -> list[tuple[int, str, np.ndarray, np.n
         if geom.objtype != mujoco.mjtObj.mjOBJ_GEOM or colour[3] <= 0.0 or geom.type >= len(_KINDS):
             continue
         kind, mesh = _KINDS[geom.type], -1
+        if kind == "plane" and geom.matid >= 0 and np.any(model.mat_texid[geom.matid] >= 0):
+            colour[:3] = 1.0  # that of the material goes with its picture, and with the film's lamps
         if kind in ("mesh", "hfield"):
             mesh = int(model.geom_dataid[number]) + (model.nmesh if kind == "hfield" else 0)
             kind = "mesh"
@@ -121,6 +126,27 @@ def drawn_shapes(model: Any, data: Any) -> list[tuple[int, str, np.ndarray, np.n
         size, middle = np.array([links.radius, 0.0, 0.5 * length]), 0.5 * (link.start + link.end)
         found.append((link.body, "capsule", size, np.concatenate([middle, quat]), np.array(links.paint), -1))
     return found
+
+
+def ends(model: Any, scenery: np.ndarray) -> tuple[str, ...]:
+    """Names of the machine's ends, its hands and feet: of each moving body beyond which no other moves.
+
+    It is the named site or body on it that is farthest from its joint. `scenery` (nbody,) tells what is no part of the
+    machine; of more than `MOST_ENDS` ends there is none.
+    """
+    mujoco = load_mujoco()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    rigid = model.body_weldid
+    carried = {int(rigid[model.body_parentid[body]]) for body in range(1, model.nbody) if rigid[body] == body}
+    found = []
+    for last in sorted({int(body) for body in rigid if body and not scenery[body]} - carried):
+        sites = [(data.site_xpos[i], model.site(i).name) for i in range(model.nsite)
+                 if rigid[model.site_bodyid[i]] == last]  # fmt: skip
+        bodies = [(data.xpos[i], model.body(i).name) for i in range(1, model.nbody) if rigid[i] == last]
+        far = [(float(np.linalg.norm(at - data.xpos[last])), name) for at, name in sites + bodies if name]
+        found += [max(far)[1]] if far else []
+    return tuple(found) if len(found) <= MOST_ENDS else ()
 
 
 def place_in_world(position: np.ndarray, quaternion: np.ndarray, place: np.ndarray) -> np.ndarray:
