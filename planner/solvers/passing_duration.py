@@ -34,31 +34,27 @@ def find_passing_duration(
         in_duration: One try.
         report: Called with a shorter duration each time, so that a search that is cut has the last one.
     """
-    fails = passes = 1.0
+    fails = 1.0
     for ratio in LENGTHENINGS:
-        fails, passes = passes, ratio
         try:
             s, plan = in_duration(lengthened(problem, ratio), s, plan)
         except PlannerError:  # parts that cannot have another duration
             return
         if s == 0.0:
             break
+        fails = ratio
     else:
         return
-    passes = _reported(problem, plan, report)
-    while passes > PRECISION * fails:
-        between = lengthened(problem, math.sqrt(fails * passes))
-        if between.N >= plan.N:  # rounded up
-            return
-        _, shorter = in_duration(between, 0.0, plan)
-        if shorter is plan:
-            fails = between.duration / problem.duration
-        else:
-            plan, passes = shorter, _reported(problem, shorter, report)
-
-
-def _reported(problem: Problem, plan: Plan, report: Callable[[float], object]) -> float:
-    """The duration of a plan, over that of the problem."""
     duration = rounded_duration(plan.problem, 1.0)
     report(duration)
-    return duration / problem.duration
+    while duration > PRECISION * fails * problem.duration:
+        between = lengthened(problem, math.sqrt(fails * duration / problem.duration))
+        shorter = rounded_duration(between, 1.0)
+        if shorter >= duration:  # rounded up
+            return
+        _, found = in_duration(between, 0.0, plan)
+        if found is plan:
+            fails = shorter / problem.duration
+        else:
+            plan, duration = found, shorter
+            report(duration)
