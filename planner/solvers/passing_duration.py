@@ -37,15 +37,16 @@ def find_passing_duration(
     fails = 1.0
     for ratio in LENGTHENINGS:
         try:
-            s, plan = in_duration(lengthened(problem, ratio), s, plan)
+            longer = lengthened(problem, ratio)
+            s, plan = in_duration(longer, s, plan)
         except PlannerError:  # parts that cannot have another duration
             return
+        duration = rounded_duration(longer, 1.0)
         if s == 0.0:
             break
-        fails = ratio
+        fails = duration / problem.duration
     else:
         return
-    duration = rounded_duration(plan.problem, 1.0)
     report(duration)
     while duration > PRECISION * fails * problem.duration:
         between = lengthened(problem, math.sqrt(fails * duration / problem.duration))
