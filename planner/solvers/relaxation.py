@@ -21,8 +21,9 @@ limits by a continuation in the logarithm of the factor by which they are wider.
 
 Where this branch ends above the factor 1, others begin at SWING_FACTOR from controls that swing between their bounds:
 with as many half periods as the slowest oscillation about the start has in the duration, with one less and with one
-more, of either sign. If all end, the motion is infeasible as far as found. Then the continuation goes on in longer
-durations, until the limits hold: that is the duration that passes.
+more, of either sign; then at the factor 1. If all end, the motion is infeasible as far as found. Then the continuation
+goes on in other durations, each begun from swings, too, as a longer time has room for more of them: so is the duration
+in which the limits hold found (solvers.passing_duration).
 """
 
 from __future__ import annotations
@@ -35,13 +36,11 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.errors import PlannerError
 from planner.model.capabilities import capabilities_of
 from planner.problem.constraints.clearance import pair_clearance_of
 from planner.problem.initial_guess import Trajectory
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
-from planner.problem.rediscretize import lengthened, rounded_duration
 from planner.solvers.continuation import (
     BETTER_SHARE,
     SMOOTHER,
@@ -60,6 +59,7 @@ from planner.solvers.engine import is_in_numpy
 from planner.solvers.gains import tracked_warm_start
 from planner.solvers.options import SolverOptions
 from planner.solvers.other_guesses import LARGE_SHAKE, SHAKE, other_guesses, shaken, swings
+from planner.solvers.passing_duration import find_passing_duration
 from planner.solvers.trapped import (
     FIRST_ITERATIONS,
     MAX_QUICK_ITERATIONS,
@@ -87,8 +87,6 @@ MAX_REPEATS = 2  # number of swings that lead to a branch that was followed, aft
 SHAKES = ((SHAKE, 0), (LARGE_SHAKE, 1), (LARGE_SHAKE, 2))  # shares and seeds, while a plan ends where it began
 GUESS_WORK = 10.0  # limit of the work of a solve from the first other guess (solvers.work), half of it for each next
 SAME_COST = 1e-3  # relative difference of the costs below which two of them are the same branch, or its mirror image
-LENGTHENING = 1.1  # ratio of successive durations
-MAX_DURATIONS = 8  # number of them: up to 2.1 times
 EASIER = 10.0  # times the cost of the direct plan: a problem of softer contacts whose plan costs more is none easier
 
 # One solve from states (N+1, nx) or None, penalties or None, and controls (N, nu), with an iteration limit.
@@ -118,7 +116,8 @@ def relax(
         plan = work.run(direct)
     except _OutOfWorkError as end:
         best = work.best or direct
-        plan = replace(best, status=end.status) if failed(best) else best
+        status = Status.INFEASIBLE if "duration" in work.passing else end.status
+        plan = replace(best, status=status) if failed(best) else best
     except (KeyboardInterrupt, StopIteration):
         plan = replace(work.best or direct, status=Status.INTERRUPTED)
     return plan, work.record()
@@ -200,9 +199,7 @@ class _Relaxation:
         if lowest is None or meets_goals(direct):
             return direct  # slow, but not infeasible
         self.passing["factor"] = math.exp(lowest[0])
-        duration = self._passing_duration(*lowest)
-        if duration is not None:
-            self.passing["duration"] = duration
+        find_passing_duration(problem, *lowest, self._in_duration, partial(self.passing.__setitem__, "duration"))
         return replace(direct, status=Status.INFEASIBLE)
 
     def _by_other_guesses(self, direct: Plan) -> Plan | None:
@@ -328,35 +325,37 @@ class _Relaxation:
     def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
         """The free plan, then those of other numbers of swings that meet the goal in wider limits, and their s."""
         yield max(math.log(max(family.factor, 1.0)), Continuation.min_step), free
-        factor = min(SWING_FACTOR, max(family.factor, 1.0))
-        wider, seen, again = family.at(factor), list[float](), 0
-        for us in swings(self.problem):
-            plan = self.solve_one(wider, self.options, None, None, us, self._allowed(wider, FIRST_ITERATIONS), None)
+        for factor in sorted({min(SWING_FACTOR, max(family.factor, 1.0)), 1.0}, reverse=True):
+            for plan in self._swings("swing", family.at(factor), factor):
+                yield max(math.log(factor), Continuation.min_step), plan
+
+    def _swings(self, stage: str, problem: Problem, factor: float) -> Iterator[Plan]:
+        """The plans of other numbers of swings that meet the goals, until MAX_REPEATS lead to one that was seen."""
+        seen, again = list[float](), 0
+        for us in swings(problem):
+            plan = self.solve_one(problem, self.options, None, None, us, self._allowed(problem, FIRST_ITERATIONS), None)
             same = any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in seen)
             kept, again = meets_goals(plan) and not same, again + same
             seen.append(plan.cost)
-            if self._report("swing", factor, plan, kept):
-                yield max(math.log(factor), Continuation.min_step), plan
+            if self._report(stage, factor, plan, kept):
+                yield plan
             if again == MAX_REPEATS:
                 return
 
-    def _passing_duration(self, s: float, plan: Plan) -> float | None:
-        """The first of longer durations in which the limits hold, followed from a plan with limits wider by exp(s)."""
-        for k in range(1, MAX_DURATIONS + 1):
-            try:
-                longer = lengthened(self.problem, LENGTHENING**k)
-            except PlannerError:  # parts that cannot have another duration
-                return None
-            direct = self._solve(longer, None, FIRST_ITERATIONS)
-            if self._report("duration", 1.0, direct, direct.converged and self.is_kept(direct)):
-                return rounded_duration(longer, 1.0)
-            family = WiderLimits(longer, 1.0, None, None)
-            wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(longer.duration), FIRST_ITERATIONS)
-            if self._report("duration", math.exp(s), wider, self.is_kept(wider)):
-                s, plan = self._continuation("duration", family).run(s, wider)
-            if s == 0.0:
-                return rounded_duration(longer, 1.0)
-        return None
+    def _in_duration(self, problem: Problem, s: float, plan: Plan) -> tuple[float, Plan]:
+        """0 and the plan of the problem in another duration if it passes, else the smallest s that was reached."""
+        direct = self._solve(problem, None, FIRST_ITERATIONS)
+        if self._report("duration", 1.0, direct, direct.converged and self.is_kept(direct)):
+            return 0.0, direct
+        for swung in self._swings("duration", problem, 1.0):
+            if swung.converged:
+                return 0.0, swung
+        family = WiderLimits(problem, 1.0, None, None)
+        wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(problem.duration), FIRST_ITERATIONS)
+        kept = self.is_kept(wider) and (s > 0.0 or wider.converged)
+        if self._report("duration", math.exp(s), wider, kept):
+            return self._continuation("duration", family).run(s, wider)
+        return s, plan
 
     def _continuation(self, stage: str, family: WiderLimits | SofterContacts | DistantContacts) -> Continuation:
         return Continuation(
