@@ -28,6 +28,9 @@ def short_repr(value: Any) -> str:
     return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT - 3]}..."
 
 
+_FEW_NUMBERS = 4  # of a row that a message writes out
+
+
 def _no_number(value: Any) -> bool:
     """Whether a value contains booleans, strings, dates or complex numbers, which NumPy would convert to floats."""
     if isinstance(value, float):  # the usual entry of a list
@@ -109,7 +112,20 @@ def numbers(name: str, value: Any) -> np.ndarray:
     try:
         return _floats(value)
     except (TypeError, ValueError, OverflowError):
-        raise PlannerError(f"{name} is {short_repr(value)}, expected numbers.") from None
+        raise PlannerError(_uneven(name, value) or f"{name} is {short_repr(value)}, expected numbers.") from None
+
+
+def _uneven(name: str, value: Any) -> str:
+    """The sentence about rows of different lengths; "" where all are alike."""
+    if not isinstance(value, (list, tuple)) or not value or not all(isinstance(row, (list, tuple)) for row in value):
+        return ""
+    other = next((k for k, row in enumerate(value) if len(row) != len(value[0])), None)
+    if other is None:
+        return ""
+    return (
+        f"{name} has {len(value[0])} entries in row 1 and {len(value[other])} in row {other + 1}, expected rows of one "
+        f"length: write {len(value[0])} in each."
+    )
 
 
 def _floats(value: Any) -> np.ndarray:
@@ -128,7 +144,12 @@ def array(name: str, value: Any, shape: tuple[int | str, ...], *, any_value: boo
     try:
         result = _floats(value)
     except (TypeError, ValueError, OverflowError):
-        raise PlannerError(f"{name} is not an array of numbers, expected shape {_shape_words(shape)}.") from None
+        wrong = f"{name} is not an array of numbers, expected shape {_shape_words(shape)}."
+        raise PlannerError(_uneven(name, value) or wrong) from None
+    n = shape[0] if len(shape) == 1 else None
+    if isinstance(value, (list, tuple)) and result.ndim == 1 and isinstance(n, int) and len(result) != n:
+        example = f", e.g. [{', '.join(['0.0'] * n)}]" if 0 < n <= _FEW_NUMBERS else ""
+        raise PlannerError(f"{name} is {short_repr(value)}, expected {n} number{'' if n == 1 else 's'}{example}.")
     if result.shape != shape and not _matches(result.shape, shape):
         raise PlannerError(f"{name} has shape {result.shape}, expected {_shape_words(shape)}.")
     if not any_value and not np.isfinite(result).all():

@@ -57,11 +57,40 @@ def read_table(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise FileError(f"{path} is not TOML: {_likely_cause(text) or str(error).removesuffix('.')}.") from None
+        raise FileError(f"{path} is not TOML: {_likely_cause(text) or _expected(str(error))}.") from None
     except ValueError:  # Python reads no integers of more than 4300 digits
         raise FileError(f"{path} has a number of thousands of digits, expected numbers that fit 64 bits.") from None
     except RecursionError:
         raise FileError(f"{path} is nested too deeply, expected a table of numbers and names.") from None
+
+
+_EXPECTED = {
+    "Invalid value": "expected a number such as 0.5, a text in quotes, true, false, [ ] around a list or { } around a "
+    "table after the =",
+    "Cannot overwrite a value": "the key stands twice: leave one out",
+    "Duplicate inline table key": "the key stands twice between { and }: leave one out",
+    "Cannot declare": "the table stands twice: write the keys of both below one, or [[ ]] for several",
+    "Cannot mutate immutable namespace": "the table was written with { } or [ ] before: write all of it there",
+    "Cannot redefine namespace": "the key stands as a table already: leave one out",
+    "Expected '=' after a key": "expected KEY = VALUE in a line",
+    "Invalid initial character for a key": "expected KEY = VALUE, with a key of letters, digits, _ and -",
+    "Invalid statement": "expected KEY = VALUE, [TABLE] or # and a remark in a line",
+    "Expected newline or end of document": "expected the line to end after its value: write one KEY = VALUE a line",
+    "Expected ']": "expected ] after the name of a table, ]] after one of [[",
+    "Unclosed array": "expected a comma between numbers and ] after the last",
+    "Unclosed inline table": "expected a comma between KEY = VALUE and } after the last, all in one line",
+    "Unterminated string": "expected a quote that ends the text",
+    "Illegal character": "expected the quote that ends the text in the same line",
+    "Unescaped": "expected \\\\ for \\ in a text, or single quotes around it",
+}
+"""What to write instead, by how the parser's message begins."""
+
+
+def _expected(message: str) -> str:
+    """The parser's message, and what to write instead."""
+    advice = next((text for start, text in _EXPECTED.items() if message.startswith(start)), "")
+    message = message.removesuffix(".")
+    return f"{message}: {advice}" if advice else message
 
 
 def _likely_cause(text: str) -> str:

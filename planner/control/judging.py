@@ -5,6 +5,7 @@
 
 A perturbed robot (model error, push) passes within five times the tolerances: the rule of the proof's perturbed
 rollouts. A built-in problem's own success rule, as for the path of a step or the apex of a hop, takes precedence.
+A stop that the plan does not model is not to be run into, whatever pushes.
 
 Results are Sections of Measurements, as in a proof.
 """
@@ -26,8 +27,11 @@ from planner.control.window_parts import goal_states, is_of_frames
 from planner.dynamics.kinematics import frame_pose
 from planner.model.coordinates import coordinates_of
 from planner.problem.goals import MIN_TOLERANCES, GoalCheck, goals_of
+from planner.proof.reached_limits import stop_excess
 from planner.proof.replay_errors import misses, word_of, worst_of
 from planner.proof.robustness.success import GOAL_TOLERANCES, OF_RANGE, SuccessRule, rule_of
+
+BEYOND_STOP, BEYOND_RANGE, VIOLATED = "beyond_its_stop", "beyond_its_range", "constraint_violation"
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +68,21 @@ class LoopVerdict:
         for name, section in self.sections.items():
             if name in ("arrives", "stays", "follows") and not section.not_applicable:
                 words.append(name if section.passed else f"does not {name.removesuffix('s')}")
+        words += self._violations()
         if self.loop.events:
             words.append(f"{len(self.loop.events)} events")
         return f"{self.verdict} (loop); {', '.join(words) or 'nothing was asked of it'}"
+
+    def _violations(self) -> list[str]:
+        """What the machine did not keep, by how much: a push may make it unavoidable, and it is to be known."""
+        limits, found = self.loop.controller.problem.limits, list[str]()
+        tolerance = 0.0 if limits is None else limits.tolerance
+        for one in self.sections["kept"].measured:
+            if one.name == BEYOND_STOP and not one.passed:
+                found.append(f"{one.value:.2g} {one.unit}".rstrip() + " beyond a stop")
+            elif one.name.endswith(BEYOND_RANGE) and one.value > tolerance:
+                found.append(f"{one.value:.2g} {one.unit} beyond a range")
+        return found
 
     @property
     def reason(self) -> str:
@@ -101,7 +117,8 @@ class LoopVerdict:
 def judge(loop: ClosedLoopRun) -> LoopVerdict:
     """Whether a loop arrived and stayed, or followed its moving goal, by the rules of this module.
 
-    Violations of ranges and constraints are measured without a bound: a push may make them unavoidable.
+    A joint driven beyond its stop fails, by more than a hundredth of its range; five with pushes or errors. Violations
+    of ranges and constraints that are not the model's are measured without a bound: a push may make them unavoidable.
 
     Raises:
         PlannerError: `loop` is no ClosedLoopRun of simulate().
@@ -215,23 +232,36 @@ def _near_moving(way: float, unit: str) -> float:
 
 
 def _constraints(loop: ClosedLoopRun) -> Section:
-    """Largest violations of ranges and constraints during the task, without bounds."""
+    """Stops that joints are driven beyond, and largest violations of ranges and constraints in the task, unbounded."""
     problem = loop.controller.problem
-    M = problem.N * loop.substeps
-    if problem.trajectory_constraints is None or len(loop.xs) <= M or not np.isfinite(loop.xs).all():
-        return Section("constraints", not_applicable="no ranges and no constraints, or no whole task")
-    found, xs, us = list[Measurement](), loop.xs[: M + 1], loop.ctrl[:M]
+    M, found = problem.N * loop.substeps, _stop(loop, GOAL_TOLERANCES if loop.perturbed else 1.0)
+    unknown = problem.trajectory_constraints is None or len(loop.xs) <= M or not np.isfinite(loop.xs).all()
+    if unknown:
+        why = "no stops, no ranges and no constraints, or no whole task"
+        return Section("constraints", tuple(found), "" if found else why)
+    xs, us = loop.xs[: M + 1], loop.ctrl[:M]
     if problem.ranges is not None:
         beyond = problem.ranges.violation(xs).max(axis=0)
         on_way = problem.ranges.coordinates[: len(beyond) - problem.ranges.at_end]
         for unit in dict.fromkeys(one.unit for one in on_way):
             value, name = max((float(b), one.name) for b, one in zip(beyond, on_way, strict=False) if one.unit == unit)
-            found.append(Measurement(f"{word_of(unit)}_beyond_its_range", value, unit, None, f"largest, of {name}"))
+            found.append(Measurement(f"{word_of(unit)}_{BEYOND_RANGE}", value, unit, None, f"largest, of {name}"))
     if problem.trajectory_constraints.rows is not None and us.shape[1] == problem.dynamics.nu:
         for one in problem.trajectory_constraints.rows.violations(xs, us):
             note = f"{one.constraint.name}: largest at any step of the task"
-            found.append(Measurement("constraint_violation", one.value, one.constraint.unit, None, note))
+            found.append(Measurement(VIOLATED, one.value, one.constraint.unit, None, note))
     return Section("constraints", tuple(found))
+
+
+def _stop(loop: ClosedLoopRun, wider: float) -> list[Measurement]:
+    """How far a joint is driven beyond a stop that the plan lacks, in the whole run: a machine breaks there."""
+    worst = stop_excess(loop, wider)
+    if worst is None:
+        return []
+    one, bound = worst
+    beyond = float(one.beyond.max(initial=0.0))
+    since = f", from t = {loop.t[np.argmax(one.beyond > bound)]:.4g} s" if beyond > bound else ""
+    return [Measurement(BEYOND_STOP, beyond, one.unit, bound, f"farthest of all, of {one.name}{since}")]
 
 
 _ROUND = (1.0, 2.0, 5.0, 10.0)  # latencies are rounded up to these numbers, so that most runs on a computer are equal
@@ -282,8 +312,9 @@ def _calls(loop: ClosedLoopRun) -> Section:
 
 
 def passes_disturbed(loop: ClosedLoopRun) -> bool:
-    """Whether a loop succeeds by the rule of a proof's perturbed rollouts, or by the built-in problem's own."""
-    return _won(loop, rule_of(loop.controller.plan))
+    """Whether a loop succeeds by the rule of a proof's perturbed rollouts, or its own, and keeps its stops."""
+    kept = all(one.passed for one in _stop(loop, GOAL_TOLERANCES))
+    return kept and _won(loop, rule_of(loop.controller.plan))
 
 
 def _own_rule(loop: ClosedLoopRun) -> SuccessRule | None:

@@ -58,6 +58,25 @@ def _known(run: Replay) -> set[str]:
 
 def stops_hit(run: Replay) -> list[str]:
     """Joints and tendons that the plan, or the replay, moves outside a range without a modelled stop, in sentences."""
+    found = []
+    for planned, real, least in _stops(run):
+        said = _sentence(run, planned, real, OVERLAP, least)
+        found += [said] if said else []
+    return found
+
+
+def stop_excess(run: Replay, wider: float = 1.0) -> tuple[Excess, float] | None:
+    """The joint or tendon that the replay moves farthest beyond a range without a modelled stop, and what passes.
+
+    Farthest as a multiple of what passes: of a stop, CORRECTION of its range as for a replay with gains, `wider` times
+    that. None where nothing has such a range.
+    """
+    found = [(real, least + wider * CORRECTION * _scale(planned, real)) for planned, real, least in _stops(run)]
+    return max(found, key=lambda one: one[0].beyond.max(initial=0.0) / max(one[1], ROUNDING), default=None)
+
+
+def _stops(run: Replay) -> list[tuple[Excess, Excess, float]]:
+    """Ranges without a modelled stop along the plan and the replay, and the excess that the plan's limits allow."""
     model, stopped, limits = run.compiled.model, stopped_dofs(run.plan), getattr(run.plan.problem, "limits", None)
     own, replayed = (
         [*joints_in(model, w, stopped), *tendons_in(model, w)] for w in (run.twin.sim_of(run.plan_xs), _states(run))
@@ -66,8 +85,7 @@ def stops_hit(run: Replay) -> list[str]:
     for planned, real in zip(own, replayed, strict=True):
         # MuJoCo's stops are soft: a joint that starts or ends at its stop penetrates it, as the problem requires.
         leans = limits is not None and limits.position is not None and bool(_at_end(planned).any())
-        said = _sentence(run, planned, real, OVERLAP, tolerance + LEANING * leans)
-        found += [said] if said else []
+        found.append((planned, real, tolerance + LEANING * leans))
     return found
 
 

@@ -69,7 +69,12 @@ def foot_penetration(plan: Plan, problem: Problem) -> tuple[str, ...]:
     if shares[worst] <= MAX_PENETRATION_SHARE:
         return ()
     name = mechanism.contacts[worst].name
-    return (f"{name} sinks {depths[worst]:.2g} m into the ground, with a radius of {radii[worst]:.2g} m",)
+    # A spring stops what lands within a depth in proportion to its time constant.
+    stiffer = float(shares[worst] / MAX_PENETRATION_SHARE)
+    return (
+        f"{name} sinks {depths[worst]:.2g} m into the ground, with a radius of {radii[worst]:.2g} m: in the file its "
+        f"`solref` lacks a time constant {stiffer:.2g} times shorter",
+    )
 
 
 def allowed_slip(mechanism: Mechanism, q: np.ndarray) -> float:

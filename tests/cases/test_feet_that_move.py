@@ -123,7 +123,8 @@ def test_a_foot_that_sinks_by_more_than_half_of_its_radius_is_named(forward):
     assert foot_penetration(SimpleNamespace(xs=down[None]), forward) == ()
     down[1] -= 0.002
     (said,) = foot_penetration(SimpleNamespace(xs=down[None]), forward)
-    assert said == "geom 'foot' sinks 0.016 m into the ground, with a radius of 0.03 m"
+    assert said.startswith("geom 'foot' sinks 0.016 m into the ground, with a radius of 0.03 m: ")
+    assert said.endswith("`solref` lacks a time constant 1.1 times shorter")  # 0.016 m of the 0.015 m that pass
 
 
 def test_its_foot_is_lifted(forward):

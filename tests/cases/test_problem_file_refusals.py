@@ -153,6 +153,25 @@ def test_models_that_cannot_be_used_are_named(tmp_path, content, fragments):
     refuse(path, *fragments)
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("goal = .1", "expected a number such as 0.5"),
+        ("goal = 1.0\ngoal = 2.0", "the key stands twice: leave one out"),
+        ("[weights]\n[weights]", "the table stands twice"),
+        ("goal 1.0", "expected KEY = VALUE in a line"),
+        ("goal = [1.0", "] after the last"),
+        ("goal = { a = 1.0, a = 2.0 }", "the key stands twice between { and }"),
+        ("goal = 1.0 start = 2.0", "one KEY = VALUE a line"),
+        ('title = "a', "quote that ends the text"),
+        ("[weights", "] after the name of a table"),
+    ],
+)
+def test_what_is_not_toml_is_refused_with_what_to_write(tmp_path, text, expected):
+    (tmp_path / "a.toml").write_text(text, encoding="utf-8")
+    refuse(tmp_path / "a.toml", "a.toml is not TOML", expected)
+
+
 def test_files_that_are_no_problem(tmp_path):
     refuse(tmp_path / "nowhere.toml", "nowhere.toml", "No such file")
     (tmp_path / "a.toml").write_text("model = ", encoding="utf-8")

@@ -50,7 +50,7 @@ def at(position, **more):
             [{"joints": "{ shoulder = 0.0, elbow = 0.0 }"}, at("[0.3, 0, -0.2]")],
             ("goal 2 (hand)", "goal 1 (joints) contradict each other"),
         ),
-        ([at("[0.3, 0.0]")], ("goal 1: position of a goal has shape (2,), expected (3,)",)),
+        ([at("[0.3, 0.0]")], ("goal 1: position of a goal is [0.3, 0.0], expected 3 numbers, e.g. [0.0, 0.0, 0.0]",)),
         ([at("[0.3, 0, nan]")], ("position of a goal[2] is nan",)),
         ([{"frame": '"hand"'}], ("goal of 'hand' asks for nothing", "position, orientation or pointing")),
         ([{"position": "[0, 0, 0]"}], ("neither frame nor joints",)),

@@ -45,7 +45,7 @@ WRONG = [
     (["run", "stages.toml"], "duration is 1 s, expected a whole number of stages of 0.03 s, e.g. 0.99."),
     (["run", "long.toml"], "dt is 5 s, longer than the duration of 1 s, expected a part of it."),
     (["run", "absent.toml"], "cannot read the model nowhere.xml: No such file"),
-    (["solve", "goal.toml"], "goal 2: position of a goal has shape (2,), expected (3,)."),
+    (["solve", "goal.toml"], "goal 2: position of a goal is [0, 0], expected 3 numbers, e.g. [0.0, 0.0, 0.0]."),
     (["solve", "obstacle.toml"], "shape of an obstacle is 'bx'"),
     (["solve", "soft.toml"], "tolerance is -1, expected a number above 0"),
     (["run", "title.toml"], "title is 3, expected a text."),

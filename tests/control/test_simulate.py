@@ -390,7 +390,32 @@ def test_a_push_beyond_a_range_is_got_over(crane, force):
     assert np.abs(last).max() < 2.0  # N, of 40 that it has
     beyond = {one.name: one.value for one in verdict.sections["kept"].measured}["angle_beyond_its_range"]
     assert (beyond > 0.01) == (force > 10.0)  # rad: no control keeps the range under the larger pushes
+    assert ("beyond a range" in verdict.headline) == (beyond > crane.problem.limits.tolerance)
     assert "PASS" in loop._repr_html_()
+
+
+ARM = """
+<mujoco><compiler angle="radian"/><worldbody><body name="arm">
+  <joint name="hinge" axis="0 0 1" range="-1.2 1.2" damping="0.2"/>
+  <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.02" mass="1" contype="0" conaffinity="0"/>
+</body></worldbody><actuator><motor joint="hinge" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
+def test_a_push_that_drives_a_joint_through_its_stop_fails_though_the_arm_comes_back():
+    arm = planner.Mechanism.from_mjcf(ARM)
+    goal = planner.Goal(joints={"hinge": 1.0})
+    problem = planner.task(arm, start=[0.0], goals=goal, duration=1.0, dt=0.02)
+    controller, found = planner.Controller(problem, latency=0.0), {}
+    for force in (50.0, 400.0):  # N: by the first the arm stays within its range
+        loop = planner.simulate(controller, latency=0.0, pushes=planner.Push("arm", (0.0, force, 0.0), 1.2))
+        found[force] = verdict = judge(loop)
+        assert verdict.sections["arrives"].passed
+        assert verdict.sections["stays"].passed
+        stop = next(one for one in verdict.sections["kept"].measured if one.name == "beyond_its_stop")
+        assert stop.value == pytest.approx(max(loop.xs[:, 0].max() - 1.2, 0.0), abs=1e-8)
+        assert stop.passed == verdict.passed == passes_disturbed(loop) == (force < 100.0)
+    assert "beyond a stop" in found[400.0].headline
+    assert "beyond" not in found[50.0].headline
 
 
 def test_only_a_loop_is_judged(problem):

@@ -234,8 +234,8 @@ def test_a_frame_of_the_world_does_not_move():
 WRONG = {
     "q[4] is nan, expected finite numbers": lambda m: rb.bias(m, [*Q[:4], np.nan], V),
     "qd[1] is inf, expected finite numbers": lambda m: rb.rnea(m, Q, [0.0, np.inf, 0.0, 0.0], V),
-    "q has shape (4,), expected (5,)": lambda m: rb.mass_matrix(m, V),
-    "qd has shape (5,), expected (4,)": lambda m: rb.bias(m, Q, Q),
+    "q is [0.1, 0.2, 0.3, 0.4], expected 5 numbers": lambda m: rb.mass_matrix(m, V),
+    "qd is [0.1, 1.0, 0.0, 0.0, 0.0], expected 4 numbers": lambda m: rb.bias(m, Q, Q),
     "tau has shape (), expected (4,)": lambda m: rb.forward_dynamics(m, Q, V, 1.0),
     "q has shape (1, 1, 5), expected (K, 5)": lambda m: rb.forward_kinematics(m, [[Q]]),
     "qdd is not an array of numbers, expected shape (4,)": lambda m: rb.rnea(m, Q, V, "no"),

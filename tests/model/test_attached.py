@@ -136,7 +136,7 @@ def test_an_arm_that_does_not_know_of_its_payload_misses():
         ({"frame": "hand", "mass": 1.0, "model": "x.xml"}, ("or both",)),
         ({"frame": "hand", "mass": -1.0}, ("mass of attach is -1.0",)),
         ({"frame": "hand", "mass": 1.0, "size": [0.1, 0.2]}, ("size of attach is [0.1, 0.2]", "three edges")),
-        ({"frame": "hand", "mass": 1.0, "com": [0.1]}, ("com of attach has shape (1,)",)),
+        ({"frame": "hand", "mass": 1.0, "com": [0.1]}, ("com of attach is [0.1], expected 3 numbers",)),
         ({"frame": "hand", "mass": 1.0, "inertia": [1.0, 1.0, 3.0]}, ("which no body has",)),
         ({"frame": "hand", "mass": 1.0, "inertia": [1.0]}, ("three or six numbers",)),
         ({"frame": "hand", "mass": 1.0, "name": "upper"}, ("name of attach is 'upper', which the model has",)),

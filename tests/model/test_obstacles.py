@@ -188,7 +188,7 @@ def test_an_obstacle_may_carry_a_machine():
         ({"shape": "box", "size": [1.0, 1.0, 1.0]}, ("obstacle 'box' has no key 'position'", "position = [")),
         ({"shape": "plane", "size": 1.0}, ("expected none",)),
         ({"shape": "sphere", "size": 0.1, "at": [0, 0, 0]}, ("a key of obstacle is 'at'", "position")),
-        ({"shape": "sphere", "size": 0.1, "position": [0, 0]}, ("position of an obstacle has shape (2,)",)),
+        ({"shape": "sphere", "size": 0.1, "position": [0, 0]}, ("an obstacle is [0, 0], expected 3 numbers",)),
         ({"shape": "sphere", "size": 0.1, "orientation": [0, 0, 0, 0]}, ("length zero",)),
         ({"shape": "sphere", "size": 0.1, "position": AT, "name": "fist"}, ("'fist', which the model has",)),
         ({"shape": "mesh"}, ("expected the path of a mesh",)),

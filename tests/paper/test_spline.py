@@ -122,12 +122,12 @@ def test_more_intervals_cost_no_more(arm):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"boundary": Boundary([0.0], UP, 2.0)}, "start has shape"),
+        ({"boundary": Boundary([0.0], UP, 2.0)}, r"start is \[0.0\]"),
         ({"boundary": Boundary([0.0, 0.0], [0.0, np.nan], 2.0)}, "goal"),
         ({"boundary": Boundary([0.0, 0.0], UP, 0.0)}, "duration is 0"),
         ({"space": SplineSpace(degree=2)}, "degree is 2"), ({"space": SplineSpace(1)}, "intervals is 1"),
         ({"nodes": 0}, "nodes is 0"), ({"mechanism": None}, "expected a Mechanism"),
-        ({"end_weights": (1.0, -1.0)}, "end weight is -1"), ({"end_weights": (1.0,)}, "end_weights has shape"),
+        ({"end_weights": (1.0, -1.0)}, "end weight is -1"), ({"end_weights": (1.0,)}, r"end_weights is \(1.0,\)"),
         ({"simpson": 0.0}, "simpson is 0"),
         ({"guess": lambda t: t}, r"guess\(t\) has shape"),
     ],

@@ -184,9 +184,9 @@ def test_a_motion_is_one_of_the_mechanism(arm):
         ({"driven": ()}, "driven names no joint"), ({"driven": ("shoulder", "elbow")}, "driven names every joint"),
         ({"driven": ("knee",)}, "knee"), ({"driven": 3}, "expected names of joints"),
         ({"mechanism": None}, "expected a Mechanism"), ({"guess": lambda t: t}, r"guess\(t\) has shape"),
-        ({"boundary": Boundary([0.0], UP, 1.0)}, "start has shape"),
-        ({"boundary": Boundary([0.0, 0.0], [0.0], 1.0)}, "goal has shape"),
-        ({"boundary": Boundary([0.0, 0.0], UP, 1.0, [1.0])}, "start_velocity has shape"),
+        ({"boundary": Boundary([0.0], UP, 1.0)}, r"start is \[0.0\]"),
+        ({"boundary": Boundary([0.0, 0.0], [0.0], 1.0)}, r"goal is \[0.0\]"),
+        ({"boundary": Boundary([0.0, 0.0], UP, 1.0, [1.0])}, r"start_velocity is \[1.0\]"),
     ],
 )  # fmt: skip
 def test_wrong_arguments_are_refused_in_one_sentence(arm, changes, words):

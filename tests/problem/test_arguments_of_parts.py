@@ -41,8 +41,8 @@ WRONG = {
     "goal is not an array of numbers, expected shape (4,).": lambda: joints(goal=STRAIGHT > 0.0),
     f"horizon is {10**15}, {HORIZONS}": lambda: joints(horizon=10**15),
     f"horizon is {10**16}, {HORIZONS}": lambda: TrackingCost.reach([0.0], 10**16, final=1.0, effort=1.0),
-    "effort is [[1.0], [1.0, 2.0]], expected numbers.": lambda: TrackingCost.reach(
-        [0.0], 2, final=1.0, effort=[[1.0], [1.0, 2.0]]
+    "effort has 1 entries in row 1 and 2 in row 2, expected rows of one length: write 1 in each.": lambda: (
+        TrackingCost.reach([0.0], 2, final=1.0, effort=[[1.0], [1.0, 2.0]])
     ),
     "nu is True, expected a whole number of at least 1.": lambda: TrackingCost.reach(
         [0.0], 2, final=1.0, effort=1.0, nu=True
@@ -50,14 +50,16 @@ WRONG = {
     "space is 'flat', expected a StateSpace": lambda: TrackingCost.reach([0.0], 2, final=1.0, effort=1.0, space="flat"),
     "a term of a cost is None, expected a cost with value() and quadratize().": lambda: SumCost(None),
     "frame is None, expected a Frame or the name of a site or body.": lambda: hand(frame=None),
-    "position is [[1.0], [1.0, 2.0]], expected numbers.": lambda: hand(position=[[1.0], [1.0, 2.0]]),
+    "position has 1 entries in row 1 and 2 in row 2, expected rows of one length: write 1 in each.": lambda: hand(
+        position=[[1.0], [1.0, 2.0]]
+    ),
     "position is [True, True, True], expected numbers.": lambda: hand(position=[True] * 3),
     "position_weight is True, expected numbers.": lambda: hand(position_weight=True),
     "mechanism is None, expected a Mechanism.": lambda: RigidBodyDynamics(None, 0.01),
     "dt is True, expected a finite number greater than 0.": lambda: RigidBodyDynamics(ARM.mechanism, True),
     "mechanism is [1], expected a Mechanism.": lambda: planner.dynamics.forward_dynamics([1], *np.zeros((3, 2))),
-    "qd is not an array of numbers, expected shape (2,).": lambda: planner.dynamics.bias(
-        ARM.mechanism, np.zeros(2), [[1.0], [1.0, 2.0]]
+    "qd has 1 entries in row 1 and 2 in row 2, expected rows of one length: write 1 in each.": lambda: (
+        planner.dynamics.bias(ARM.mechanism, np.zeros(2), [[1.0], [1.0, 2.0]])
     ),
     "q is not an array of numbers, expected shape (2,).": lambda: planner.dynamics.mass_matrix(
         ARM.mechanism, [True, False]

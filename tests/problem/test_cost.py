@@ -107,7 +107,7 @@ def test_a_turn_about_one_axis_costs_its_angle():
         (lambda: TrackingCost(np.eye(3)[None].repeat(2, 0), [[[1.0]]], 0.0, 0.0, StateSpace(4, 3, ((0, 0),))),
          "x_ref has a quaternion of length zero at 0 to 3, expected e.g. 1, 0, 0, 0."),
         (lambda: TrackingCost.reach([1.0, 0.0], 2, final=1.0, effort=1.0, space=BODY),
-         "goal has shape (2,), expected (12,)."),
+         "goal is [1.0, 0.0], expected 12 numbers."),
         (lambda: TrackingCost.reach([1.0, 0.0], 2, final="much", effort=1.0), "final is 'much', expected numbers."),
     ],
 )  # fmt: skip

@@ -301,7 +301,7 @@ UP = {"lower": 0.1, "tolerance": 0.01}
          "terms[0]'s frame is 'hnad', expected one of: fixed, hand, world, trunk, arm, palm. Did you mean 'hand'?"),
         (lambda m: [Height(Point(3), **UP)], "frame is 3, expected a Frame, the name of a site or body, or None."),
         (lambda m: [Height("hand", **UP)], "point is 'hand', expected a Point."),
-        (lambda m: [Height(Point(offset=(1.0, 2.0)), **UP)], "offset has shape (2,), expected (3,)."),
+        (lambda m: [Height(Point(offset=(1.0, 2.0)), **UP)], "offset is (1.0, 2.0), expected 3 numbers"),
         (lambda m: [Height(Point(world=np.ones((3, 2))), **UP)], "world has shape (3, 2), expected (N+1, 3)."),
         (lambda m: [Height(Point(world=np.ones((3, 3))), **UP)], "terms[0]'s world has 3 rows, expected N+1 = 4."),
         (lambda m: [Height(Point(share="all"), **UP)], "share is 'all', expected a finite number."),

@@ -1,5 +1,7 @@
 """Which feet phases and gaits ask to stand: how much of it a motion keeps, and what it is called that keeps none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from places import ROOT
@@ -10,6 +12,7 @@ from planner.problem.goals import missed_goal_message
 from planner.problem.plan import Status
 from planner.problem.stances import BOUND, Stance, kept_shares, least_kept, stances_of_swings
 from planner.proof.diagnostics import suggested_fixes
+from planner.proof.diagnostics.goals import ignored_stance
 
 JUMP = f"""model = "{ROOT}/mjcf/monopod/scene.xml"
 start = {{ leg = 0.15 }}
@@ -70,7 +73,21 @@ def test_a_plan_that_stays_on_the_ground_misses_its_phase(grounded):
     assert not proof.passed
     measured = {one.name: one for one in proof.sections["goal"].measured}
     assert measured["planned_ignored_stance"].value == pytest.approx(100.0)
-    assert suggested_fixes(plan, proof)
+    cause = suggested_fixes(plan, proof)[0]
+    assert (cause.code, cause.key) == ("stance_outweighed", "weights.position")  # its reference lifts the foot
+    assert cause.values["share"] == 0.0
+    assert "phase 2, in which shank swings" in cause.sentence
+
+
+def test_a_plan_that_leaves_a_motion_that_keeps_its_phases_is_to_follow_it_more(jump):
+    """A plan that stands, of a problem whose reference flies."""
+    xs, plan = in_air(jump, jump.x0, 0.0)[1], planner.solve(jump, max_iterations=1)
+    (cause,) = ignored_stance(replace(plan, xs=xs), jump, None)
+    assert (cause.code, cause.key) == ("stance_outweighed", "weights.position")
+    own = np.diagonal(jump.cost.Q[0])[:4] / jump.dynamics.dt
+    assert list(cause.value) == list(jump.dynamics.mechanism.joint_names)
+    assert np.all(np.array(list(cause.value.values())) >= 10.0 * own * (1.0 - 1e-9))
+    assert ignored_stance(replace(plan, xs=in_air(jump, jump.x0, 0.4)[1]), jump, None) == []
 
 
 @pytest.mark.parametrize(("seconds", "kept"), [(0.4, 100.0), (0.3, 75.0), (0.1, 25.0), (0.0, 0.0)])

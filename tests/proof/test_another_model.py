@@ -10,6 +10,7 @@ from planner.cases.problem_file import load
 from planner.model.mjcf.model_index import compile_model
 from planner.model.mjcf.text import edited
 from planner.model.twin import Twin
+from planner.proof.diagnostics import suggested_fixes
 from planner.proof.replays.compiled_twin import with_model
 
 CART = """
@@ -79,6 +80,20 @@ def test_a_text_keeps_the_files_of_the_plan(plan, tmp_path, monkeypatch, before)
     assert twin.assets == plan.twin.assets
     assert height(twin) == height(plan.twin)
     assert not planner.prove(plan, mjcf=text, rollouts=0).passed  # it is twice as heavy
+
+
+def test_a_model_whose_actuators_give_less_is_a_cause():
+    """The plan keeps the clamps of its own model; the finding that names the others had no cause below it."""
+    own = STIFF.replace('<geom name="wall" type="box" size="0.05 0.3 0.2" pos="0.3 0 0.3"/>', "")
+    own = own.replace(' frictionloss="0.2"', "")
+    weak = own.replace('joint="hinge"/>', 'joint="hinge" ctrlrange="-3 3"/>')
+    dynamics = planner.RigidBodyDynamics(planner.Mechanism.from_mjcf(own), 0.02)
+    cost = planner.TrackingCost.joints(dynamics, [1.0, 0.0], 50, effort=0.1, final_position=1e4, final_velocity=1e3)
+    plan = planner.solve(planner.Problem(dynamics, cost, np.zeros(2), limits=planner.Limits.of_model()))
+    assert planner.prove(plan, rollouts=0).passed
+    (cause,) = suggested_fixes(plan, planner.prove(plan, mjcf=weak, rollouts=0))
+    assert (cause.code, cause.key) == ("clamped_in_file", "limits.control")
+    assert "'motor' is asked for more than its ctrlrange" in cause.sentence
 
 
 def test_no_other_model(plan):

@@ -9,6 +9,7 @@ import pytest
 from problem_files import arm, cured, tried
 
 import planner
+from planner.base.measured import Quantity
 from planner.problem.plan import Status
 from planner.proof.diagnostics import SuggestedFix, suggested_fixes
 from planner.proof.repair import Tools, fixes, repair
@@ -137,3 +138,40 @@ def test_a_shorter_stage_is_tried_from_the_plan(tmp_path, key, value, follows):
     # Tracked, so not those controls to the bit; the file's own guess holds the arm and is far off.
     near = np.abs(begun.first_guess - repeated).max() <= 0.1 * np.abs(plan.us).max()
     assert near == follows
+
+
+def margin(value):
+    values = {
+        "joint": "elbow",
+        "excess": Quantity(0.1, "rad"),
+        "limit": Quantity(2.0, "rad"),
+        "time": Quantity(1.0, "s"),
+    }
+    return SuggestedFix("range_exceeded", values, key="limits.margin", value=value, written=f"limits.margin = {value}")
+
+
+@pytest.mark.parametrize(
+    ("values", "solves", "reasons"),
+    [
+        ([0.06], 0, ["SAME_PROBLEM"]),  # rad: the default, a hundredth of the range
+        ([0.09, 0.09], 1, ["SAME_PLAN", "SAME_PROBLEM"]),  # the arm stays far from its stops
+    ],
+)
+def test_what_leads_to_a_problem_or_a_plan_that_was_tried_is_not_tried_again(tmp_path, values, solves, reasons):
+    ends = {"gravity": 0.0, "elbow": 'range="-3 3"', "shoulder": 'range="-3 3"'}
+    problem = arm(tmp_path, weights={"final_position": 1}, limits={"position": '"model"'}, model=ends)
+    plan, began, steps = planner.solve(problem), [], []
+
+    def solve(problem, max_iterations, purpose, budget):
+        began.append(problem)
+        return planner.solve(problem, max_iterations=max_iterations, budget=budget)
+
+    def prove(plan):
+        raise AssertionError("a plan was proved again")
+
+    asked = FixTrials(problem, plan, solve, prove, None, WorkBudget(60.0), 1000, steps.append)
+    better, found = asked.run(tuple(map(margin, values)))
+    assert better is None
+    assert [one.tried for one in found] == ["fails"] * len(values)
+    assert len(began) == solves
+    assert [one.reason for one in steps if one.outcome == "fails"] == [getattr(fixes, name) for name in reasons]

@@ -142,7 +142,7 @@ class NoHorizon:
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"x0": [0.0, 0.0, 0.0]}, "x0 has shape (3,), expected (2,)."),
+        ({"x0": [0.0, 0.0, 0.0]}, "x0 is [0.0, 0.0, 0.0], expected 2 numbers, e.g. [0.0, 0.0]."),
         ({"x0": 0.0}, "x0 has shape (), expected (2,)."),
         ({"x0": [0.0, np.nan]}, "x0[1] is nan, expected finite numbers."),
         ({"x0": [-np.inf, 0.0]}, "x0[0] is -inf, expected finite numbers."),

@@ -11,8 +11,8 @@ from planner.problem.plan import Plan, Status
 from planner.proof.diagnostics.avoid_contact import avoid_contact, no_way_around
 from planner.proof.diagnostics.balance import falling, gait_needed, jump_not_found, standing_goal
 from planner.proof.diagnostics.effort import longer, more_time, passing_duration, too_little_thrust
-from planner.proof.diagnostics.goals import larger_weights, not_moved, untouched, without_ignored
-from planner.proof.diagnostics.limits import fixed_joints, soft_equalities, wider_margin, within_limits
+from planner.proof.diagnostics.goals import ignored_stance, larger_weights, not_moved, untouched, without_ignored
+from planner.proof.diagnostics.limits import clamped_in_file, fixed_joints, soft_equalities, wider_margin, within_limits
 from planner.proof.diagnostics.solving import (
     first_guess,
     more_iterations,
@@ -36,12 +36,27 @@ __all__ = ["SuggestedFix", "longer", "standing_goal", "suggested_fixes"]
 
 _CAUSES = (
     other_model, too_little_thrust, standing_goal, gait_needed, first_guess, jump_not_found, no_way_around,
-    avoid_contact, fixed_joints, untouched, not_moved, more_time, passing_duration, within_limits, without_ignored,
-    more_iterations, shorter_stage, clamped_between, wider_margin, larger_weights, other_guesses,
-    falling, contacts_differ, not_a_minimum, soft_equalities,
+    avoid_contact, fixed_joints, untouched, not_moved, more_time, passing_duration, within_limits,
+    without_ignored, more_iterations, shorter_stage, clamped_between, wider_margin, ignored_stance, larger_weights,
+    other_guesses, falling, contacts_differ, not_a_minimum, soft_equalities, clamped_in_file,
 )  # fmt: skip
-_OF_RECORDINGS = (other_model, sparse_rows, contacts_differ, soft_equalities)  # nobody chose weights or a duration
-_OF_CYCLES = (cycle_not_found, avoid_contact, fixed_joints, within_limits, more_iterations, failing_cycle)
+_OF_RECORDINGS = (
+    other_model,
+    sparse_rows,
+    contacts_differ,
+    soft_equalities,
+    clamped_in_file,
+)  # nobody chose weights or a duration
+_OF_CYCLES = (
+    cycle_not_found,
+    avoid_contact,
+    fixed_joints,
+    within_limits,
+    more_iterations,
+    ignored_stance,
+    clamped_in_file,
+    failing_cycle,
+)
 
 
 def suggested_fixes(plan: Plan, proof: Proof | None = None) -> tuple[SuggestedFix, ...]:

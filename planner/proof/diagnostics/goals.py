@@ -13,6 +13,7 @@ from planner.problem.costs.tracking import TrackingCost, tracking_of
 from planner.problem.goals import GoalCheck, goals_of
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
+from planner.problem.stances import BOUND, kept_shares, least_kept
 from planner.problem.tasks.cost import WEIGHT
 from planner.proof.diagnostics.solving import STARTS
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, of_file, rounded_up
@@ -22,6 +23,7 @@ from planner.solvers.trapped import stays_away
 
 TARGET_SHARE = 0.5  # of the tolerance: the error to aim at
 NOWHERE = 1e-3  # of the way to a goal: what goes no farther was not moved
+PATH_RAISE = 10.0  # factor on the weights of a path that a plan leaves
 MIN_RAISE, MAX_RAISE = 3.0, 1e6  # limits of the factor on a weight
 _WEIGHTS = ("final_position", "final_velocity")
 _Raises = dict[int, tuple[float, dict[str, Any]]]  # by coordinate: factor on a weight, and the values of the finding
@@ -96,6 +98,32 @@ def _of_task(plan: Plan, problem: Problem) -> list[SuggestedFix]:
     raised = own * float(np.clip(over[worst.name] / TARGET_SHARE, MIN_RAISE, MAX_RAISE))
     values["tolerance"] = Quantity(worst.tolerance)
     return [fix(problem, "weights.goal", rounded_up(raised), "task_missed", **values)]
+
+
+def ignored_stance(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """More weight of the motion that has the phases or the gait, for a plan whose feet do otherwise.
+
+    That motion is the cost's reference. Where it does not do what they ask either, a goal on the way is left.
+    """
+    cost, mechanism = tracking_of(problem.cost), capabilities_of(problem.dynamics).mechanism
+    if not problem.stances or cost is None or mechanism is None or not np.isfinite(plan.xs).all():
+        return []
+    stance, share = least_kept(problem.stances, problem.dynamics, plan.t, plan.xs)
+    if share >= BOUND:
+        return []
+    begin, end = max(stance.spans, key=lambda span: span[1] - span[0])
+    values = {"stance": str(stance), "share": share, "bound": BOUND, "time": Quantity(0.5 * (begin + end), "s")}
+    weights = np.diagonal(cost.Q[0])[: mechanism.nv] / problem.dynamics.dt
+    led = kept_shares([stance], problem.dynamics, plan.t, cost.x_ref)[0] >= BOUND
+    if not (led and weights.any() and of_file(problem)):
+        return [no_fix("phase", "stance_ignored", **values)]
+    raised, alike = [rounded_up(PATH_RAISE * float(one)) for one in weights], bool(np.ptp(weights) == 0.0)
+    value: Any = raised[0]
+    if not alike and all(mechanism.joint_names):
+        by_joint = zip(mechanism.joint_names, mechanism.joint_links, strict=True)
+        value = {name: raised[links] for name, links in by_joint}
+        value = {name: own[0] if len(own) == 1 else own for name, own in value.items() if any(own)}
+    return [fix(problem, "weights.position", value, "stance_outweighed", **values)]
 
 
 def _raised(problem: Problem, goal: GoalCheck, miss: float) -> tuple[float, dict[str, Any]]:

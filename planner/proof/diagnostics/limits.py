@@ -116,6 +116,14 @@ def _efforts(plan: Plan, problem: Problem, run: Replay) -> list[SuggestedFix]:
     return [fix(problem, "limits.control", MODEL, "clamp_unknown", **values)]
 
 
+def clamped_in_file(plan: Plan, problem: Problem, proof: Proof | None) -> list[SuggestedFix]:
+    """Actuators that give less in the replayed file than in the plan's model, which has other clamps or none."""
+    if proof is None or _efforts(plan, problem, proof.replay):
+        return []
+    found = next((one for one in proof.your_file.failures if one.name == "clamped_actuators"), None)
+    return [] if found is None else [no_fix("limits.control", "clamped_in_file", what=found.note)]
+
+
 def _excess(one: Excess, t: np.ndarray) -> dict[str, Any]:
     """The range and a joint's violation of it, as values of a finding."""
     last = int(np.argmax(one.beyond))

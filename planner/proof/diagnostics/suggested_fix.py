@@ -76,6 +76,8 @@ SENTENCES = {
     "range_exceeded": "{joint} goes {excess} beyond {limit:.4g} at t = {time}, between the knots or in MuJoCo",
     "range_exceeded_in_file": "a joint goes {excess} beyond its range in your file, and not in the plan's model",
     "clamp_unknown": "{actuator} {what}: {most:.3g} of {lower:.3g} to {upper:.3g}",
+    "clamped_in_file": "{what} The plan's own model lets it: plan again with the model that is replayed, or write "
+    "narrower `limits = {{ control = ... }}`, or more `duration`.",
     "limit_beyond_model": "{actuator} {what}: {most:.3g} of {lower:.3g} to {upper:.3g}, at which MuJoCo clamps it "
     "whatever `limits` allow: write a wider range in the model, or no wider limit than its own.",
     "fixed_joints": "equalities and ranges of the file together leave {joint}{others} one value, at which they lean on "
@@ -88,6 +90,11 @@ SENTENCES = {
     # Goals and weights
     "goal_missed": "the plan ends {miss} from the goal of {goal}, and {tolerance} pass",
     "task_missed": "the plan is {miss} from {goal}, and {tolerance} pass",
+    "stance_ignored": "{stance} is kept in {share:.3g} % of its time, and {bound:g} % pass, and the motion that the "
+    "plan is led along does not keep it either: write a [[goal]] with `through = true` and `time = {time:.3g}` that "
+    "has the machine as it is to be then, or give it more time.",
+    "stance_outweighed": "{stance} is kept in {share:.3g} % of its time, and {bound:g} % pass: something costs less "
+    "than to follow the motion that keeps it; or write a [[goal]] with `through = true` and `time = {time:.3g}`",
     "untouched": "The plan never touches what is to be moved: begin with the machine at it, give the motion more time, "
     "or write a [[goal]] of the hand there at a time before.",
     "not_moved": "The solve found no motion that brings the machine nearer to its goal: write {advice}.",

@@ -95,6 +95,7 @@ def repair(
         work.charge_proof(problem)
         plan, proof = longer.plan, tools.prove(longer.plan)
         tools.store(plan, "continued", path)
+    before = plan
     if proof is not None and not proof.passed and not path and not standing_goal(plan, problem, proof):
         done = refined(plan, proof)
         if done.plan.status is Status.INTERRUPTED:
@@ -115,7 +116,8 @@ def repair(
     if again or (proof is not None and proof.passed):
         return Repaired(plan, proof, path, found)
     if of_file(problem) and problem.periodic is None:  # a cycle takes many solves
-        trials = FixTrials(problem, plan, tools.solve, tools.prove, refined, work, tools.max_iterations, tools.report)
+        trials = FixTrials(problem, plan, tools.solve, tools.prove, refined, work, tools.max_iterations, tools.report,
+                           (plan, before))  # fmt: skip
         better, found = trials.run(found)
         if better is not None:
             plan, proof, path = better.plan, better.proof, better.path if better.path[1:] else ()

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from planner.base.errors import PlannerError
+from planner.base.files import digest_of
+from planner.problem.joint_limits import json_value
 from planner.problem.plan import Plan, Status
 from planner.problem.problem import Problem
 from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
@@ -24,6 +29,8 @@ SHARE = 0.5  # of the work that is left, at most, for the trial of a fix
 MIN_ITERATIONS = 20  # of a trial: fewer solve nothing that failed
 MAX_DURATIONS = 6  # maximum number tried, each 1.5 times the last: up to 7.6 times
 MAX_WEIGHTS = 5  # maximum number tried, each what the plan before suggests
+SAME = 1e-9  # of the largest control and state: plans that differ by less are one
+SAME_PROBLEM, SAME_PLAN = "its problem is one that was tried", "its plan is one that was tried"
 _RESOLVED = "resolved"  # key of a problem file's table: default choices and their reasons
 
 Solve = Callable[[Problem, int, str, WorkBudget], Plan]
@@ -55,6 +62,8 @@ class FixTrials:
     budget: WorkBudget
     max_iterations: int
     report: Callable[[FixTrial], object]
+    before: Sequence[Plan] = ()  # plans of this problem that did not pass, with all finer steps
+    _solved: list[str] = field(default_factory=list)  # of each trial, what its solve depended on
 
     def run(self, found: tuple[SuggestedFix, ...]) -> tuple[Refined | None, tuple[SuggestedFix, ...]]:
         """The plan and proof that passed with a fix applied, or None; and the updated fixes, failed ones last."""
@@ -133,10 +142,14 @@ class FixTrials:
             except PlannerError as error:
                 self.report(FixTrial(one, "refused", str(error)))
                 return None, None
+        if (which := _mark(problem, asked)) in {_mark(self.problem, self.max_iterations), *self._solved}:
+            self.report(FixTrial(one, "fails", SAME_PROBLEM))
+            return None, None
         share = 1.0 if one.code == "infeasible" else SHARE  # a duration that a relaxation has passed in
         budget = self.budget.part("suggested fixes", share).before_proof(problem)
         if budget.iterations(problem, MIN_ITERATIONS) < MIN_ITERATIONS:
             raise _OutOfWorkError
+        self._solved.append(which)
         self.report(FixTrial(one, "begins"))
         plan = self.solve(problem, asked, ", with a suggested fix", budget)
         if plan.status is Status.INTERRUPTED:
@@ -144,11 +157,35 @@ class FixTrials:
         if not plan.converged:
             self.report(FixTrial(one, "not solved", plan.status.name))
             return None, plan.status
+        if any(_is_same(plan, other) for other in (failed, *self.before)):
+            self.report(FixTrial(one, "fails", SAME_PLAN))
+            return None, plan.status
         self.budget.charge_proof(problem)
         done = self.refine(plan, self.prove(plan))
         if not done.passed:
             self.report(FixTrial(one, "fails", done.proof.reason))
         return done, plan.status
+
+
+def _mark(problem: Problem, max_iterations: int) -> str:
+    """What decides a solve: the file's table, its limits as bounds and ranges, the most iterations.
+
+    Two values of a key may come to the same: a margin is at most a share of a range, and widened to start and goal.
+    """
+    resolved = {name: part for name, part in problem.parameters.get(_RESOLVED, {}).items() if name != "reasons"}
+    limits = problem.limits and replace(problem.limits, margin=None)
+    table = {**problem.parameters, _RESOLVED: resolved, "limits": limits and limits.to_dict()}
+    sides = [side for one in (problem.bounds, problem.ranges) if one for side in (one.lower, one.upper)]
+    content = [json.dumps(json_value(table), sort_keys=True, default=repr), str(max_iterations)]
+    return digest_of("".join(content).encode() + b"".join(array.tobytes() for array in sides))
+
+
+def _is_same(plan: Plan, other: Plan) -> bool:
+    """Whether two plans are one motion, but for rounding of their solves: what is proved of them is equal."""
+    pairs = ((plan.us, other.us), (plan.xs, other.xs))
+    if plan.dt != other.dt or any(a.shape != b.shape for a, b in pairs):
+        return False
+    return all(np.allclose(a, b, rtol=0.0, atol=SAME * float(np.abs(b).max(initial=0.0))) for a, b in pairs)
 
 
 def _kind(one: SuggestedFix) -> str:
