@@ -86,9 +86,14 @@ def test_a_hinge_with_a_range_is_no_wheel():
     assert not rolling_radii(machine).any()
 
 
-def test_a_vehicles_wheels_and_place_have_no_pose_to_be_held_at(tmp_path):
-    problem = task(tmp_path, [0.8, 0.3, RADIUS])
-    machine = problem.dynamics.mechanism
+@pytest.fixture(scope="module")
+def beside(tmp_path_factory):
+    """The task of a goal ahead and to the left."""
+    return task(tmp_path_factory.mktemp("drive"), [0.8, 0.3, RADIUS])
+
+
+def test_a_vehicles_wheels_and_place_have_no_pose_to_be_held_at(beside):
+    problem, machine = beside, beside.dynamics.mechanism
     np.testing.assert_array_equal(
         np.flatnonzero(rolling_dofs(machine, problem.x0[: machine.nq])), [0, 1, 5]
     )  # x, y, yaw
@@ -98,12 +103,11 @@ def test_a_vehicles_wheels_and_place_have_no_pose_to_be_held_at(tmp_path):
     assert np.all(weights[[2, 3, 4]] > 0.0)  # its height and its tilt
 
 
-def test_a_vehicle_steers_to_a_goal_beside_it(tmp_path):
-    problem = task(tmp_path, [0.8, 0.3, RADIUS])
-    plan = planner.solve(problem)
+def test_a_vehicle_steers_to_a_goal_beside_it(beside):
+    plan = planner.solve(beside)
     assert plan.success, plan.message
     assert plan.total_iterations <= 30  # 11 measured; on an octagon's corners it did not converge in 275
-    assert skating(plan, problem) == ()  # the balls are there to slide
+    assert skating(plan, beside) == ()  # the balls are there to slide
 
 
 def test_a_goal_that_is_nearly_met_needs_weight_and_no_softer_contacts(tmp_path):
