@@ -70,13 +70,14 @@ def test_momentum_is_kept_to_the_order_of_the_integrator(plan):
     """Halving the step divides its change by 2^4; the plan's torques act at the same times."""
     mechanism, drifts = plan.problem.dynamics.mechanism, []
     half = plan.N // 2  # open loop, errors grow e-fold in 0.2 s
-    for parts in (1, 2):
+    for parts in (1, 2, 4):
         dynamics = planner.RigidBodyDynamics(mechanism, plan.problem.dynamics.dt / parts)
         xs = [plan.xs[0]]
         for u in np.repeat(plan.us[:half], parts, axis=0):
             xs.append(dynamics.step(xs[-1][None], u[None])[0])
         drifts.append(momentum_drift(mechanism, np.array(xs)))
-    assert np.log2(drifts[0] / drifts[1]) == pytest.approx(4.0, abs=0.5), drifts
+    orders = np.log2(np.array(drifts[:-1]) / drifts[1:])
+    assert np.all(np.abs(orders - 4.0) < 0.5), (drifts, orders)
     assert drifts[0] < 1e-5
 
 
