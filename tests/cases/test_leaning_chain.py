@@ -72,6 +72,7 @@ def test_a_chain_whose_joint_is_named_stays_there(problem):
     assert rest_on_stops(m, x, given=[1]) is x
 
 
+@pytest.mark.slow
 def test_the_finger_closes_and_the_simulator_agrees(problem):
     plan = solve(problem)
     assert plan.success

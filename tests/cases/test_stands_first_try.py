@@ -65,6 +65,7 @@ def trunk_goal(tmp_path, dx, dz):
     return load(tmp_path / "trunk.toml").problem
 
 
+@pytest.mark.slow
 def test_a_trunk_is_brought_to_a_place_while_its_feet_stay(tmp_path):
     """No actuator moves the trunk in the air: the legs carry it there."""
     problem = trunk_goal(tmp_path, 0.01, -0.02)
