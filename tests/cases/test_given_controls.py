@@ -112,7 +112,8 @@ def of_wrist(folder, what, damping, hertz, seconds=1.0):
 
 @pytest.mark.parametrize("what", ["position of wrist", "motor"])
 @pytest.mark.parametrize(
-    ("damping", "hertz", "seconds", "steps"), [(0.2, 100, 1.0, 2), (0.2, 20, 1.0, 8), (0.5, 20, 3.5, 16)]
+    ("damping", "hertz", "seconds", "steps"),
+    [(0.2, 100, 1.0, 2), (0.2, 20, 1.0, 8), pytest.param(0.5, 20, 3.5, 16, marks=pytest.mark.slow)],
 )
 def test_a_machine_may_be_faster_than_its_recording(what, damping, hertz, seconds, steps, tmp_path):
     """A wrist of 7.5e-4 kg m^2 with 0.2 N m s forgets its velocity in 4 ms; RK4 is not stable from 10 ms on.

@@ -172,12 +172,12 @@ def test_a_step_that_cannot_be_is_one_sentence(plan, timestep, words):
         planner.prove(plan, mjcf=edited(plan.twin.mjcf, {"option": {"timestep": timestep}}), rollouts=0)
 
 
-def test_another_machine_is_refused_by_name(plan):
+def test_another_machine_is_refused_by_name(short):
     text = "<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>"
     with pytest.raises(planner.ModelError, match="not the machine"):
-        planner.prove(plan, mjcf=text, rollouts=0)
+        planner.prove(short, mjcf=text, rollouts=0)
     with pytest.raises(planner.ModelError, match="MuJoCo refuses"):
-        planner.prove(plan, mjcf="<mujoco><worldbody><nonsense/></worldbody></mujoco>", rollouts=0)
+        planner.prove(short, mjcf="<mujoco><worldbody><nonsense/></worldbody></mujoco>", rollouts=0)
 
 
 def test_refined_step_and_samples(plan):
