@@ -62,7 +62,7 @@ def rollout(problem, us, plan=None, x0=None):
 
 
 @pytest.mark.parametrize("update", UPDATES)
-@pytest.mark.parametrize("line_search", ["armijo", "wolfe", pytest.param("exact", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("line_search", ["armijo", "wolfe", "goldstein", pytest.param("exact", marks=pytest.mark.slow)])
 def test_a_body_is_turned_to_its_goal(update, line_search):
     problem = turn()
     assert isinstance(acquire_engine(problem), NumpyEngine)
