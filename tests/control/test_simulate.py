@@ -34,6 +34,7 @@ def test_a_loop_arrives_and_stays_and_is_the_same_again(controller):
     assert loop.plan.N == 80
     assert np.isfinite(loop.cost)
     assert json.dumps(verdict.to_dict())
+    assert "PASS" in loop._repr_html_()
 
 
 def test_a_control_acts_when_it_is_ready(controller):
