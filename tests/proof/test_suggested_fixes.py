@@ -270,6 +270,7 @@ def test_numbers_are_rounded_up():
     assert [rounded_up(value) for value in (0.0123, 20.0, 961.0, 0.0)] == [0.02, 20.0, 1000.0, 0.0]
 
 
+@pytest.mark.slow
 def test_a_swing_up_that_hangs_on_its_motor_needs_time_and_no_weight(tmp_path):
     model = POLE.format(slider='limited="true" range="-1 1"').replace(
         'joint="slider"', 'joint="slider" ctrlrange="-4 4"'
@@ -298,6 +299,7 @@ def test_a_motor_that_cannot_lift_straight_may_swing(tmp_path):
     assert first.code == "at_bounds"
 
 
+@pytest.mark.slow
 def test_a_way_that_is_not_free_goes_around(tmp_path):
     post = '<geom name="post" type="box" size="0.05 0.5 0.05" pos="0.45 0 0.45"/>'
     model = {"gravity": 0, "world": post, "collides": ""}
@@ -327,10 +329,11 @@ def test_every_fail_says_something(tmp_path, monkeypatch):
     [
         ("goal = { root = [0.4, 0, 0.326, 1, 0, 0, 0] }", "", ["trot"]),
         ("goal = { root = [0.4, 0, 0.326, 1, 0, 0, 0] }", 'gait = "trot"', []),
-        (
+        pytest.param(
             'goal = [{ frame = "trunk", position = [0, 0, 0.5], share = 0.5, through = true }, { joints = "stand" }]',
             "",
             [],
+            marks=pytest.mark.slow,
         ),
     ],
     ids=["elsewhere", "by a gait", "a jump"],
