@@ -140,7 +140,8 @@ def test_no_number_of_steps_is_tried_twice(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("what", "hertz", "steps"), [("position of wrist", 20, 4), ("motor", 100, 1), ("motor", 25, 4)]
+    ("what", "hertz", "steps"),
+    [("position of wrist", 20, 4), pytest.param("motor", 100, 1, marks=pytest.mark.slow), ("motor", 25, 4)],
 )
 def test_a_recording_is_told_a_rate_at_which_as_many_steps_pass(what, hertz, steps, tmp_path, monkeypatch):
     monkeypatch.setattr(given_controls, "_PARTS", (steps,))

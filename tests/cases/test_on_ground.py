@@ -144,6 +144,7 @@ def test_what_does_not_balance_is_put_down_as_it_is(tmp_path):
     assert "the pose does not stay on the ground: its centre" in why.sentence
 
 
+@pytest.mark.slow
 def test_a_plan_of_it_passes_and_is_stored(tmp_path):
     """In the user's file, whose ground is MuJoCo's own."""
     weights = "[weights]\neffort = 0.1\nposition = 1.0\nvelocity = 1.0\nfinal_position = 1e4"

@@ -50,6 +50,7 @@ def test_it_passes(name):
     assert proof.passed, proof.reason
 
 
+@pytest.mark.slow
 def test_the_lander_pushes_only_and_the_quadrotor_goes_through_its_window():
     lander, drone = plan_of("lander"), plan_of("quadrotor")
     assert lander.us[:, 0].min() >= 0.0
@@ -80,6 +81,7 @@ def test_the_quadruped_rises_and_its_feet_stay():
         assert slip < 0.1 * STRIDE  # more than STRIDE is what the proof calls sliding
 
 
+@pytest.mark.slow
 def test_the_pusher_moves_a_trolley_that_no_motor_drives():
     push = plan_of("pusher")
     mechanism = push.problem.dynamics.mechanism

@@ -179,7 +179,9 @@ def test_wrong_flags_of_a_proof_are_one_sentence(tmp_path, capsys, words, said):
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["run", "prove", pytest.param("report", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "command", ["run", *(pytest.param(one, marks=pytest.mark.slow) for one in ("prove", "report"))]
+)
 def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monkeypatch, command):
     """A note with the verdict, then a line for each of the other steps, then the table and, once, the verdict."""
     order = []

@@ -125,6 +125,7 @@ def test_a_joint_that_moves_is_followed(controller):
     assert verdict.sections["follows"].measured[0].value < 0.1
 
 
+@pytest.mark.slow
 def test_a_goal_that_is_known_ahead_is_followed_more_closely(controller):
     dt = controller.problem.dynamics.dt
 
