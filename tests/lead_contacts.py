@@ -5,13 +5,14 @@ so a is where the convex function (a - a0)'M (a - a0)/2 + sum_k Phi_k(x_k)/lead_
 """
 
 import numpy as np
+from scipy.optimize import brentq
 
 from planner.dynamics import bias, mass_matrix
 from planner.dynamics.contact_kinematics import contact_kinematics
 from planner.dynamics.contacts import contact_wrench
 from planner.dynamics.kinematics import LinkPlaces
 
-MAX_ITERATIONS, HALVINGS = 100, 40
+MAX_ITERATIONS = 100
 ROUNDING = 1e-13  # of the accelerations, what a step may be at the end
 
 
@@ -51,11 +52,9 @@ def turning(place):
 
 
 def _length(residual, a, step):
-    """The step length at which the convex function's slope along the step is 0, by bisection; 1 where it is below."""
-    if residual(a + step)[0] @ step <= 0.0:
-        return 1.0
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if residual(a + middle * step)[0] @ step <= 0.0 else (low, middle)
-    return high
+    """The step length at which the convex function's slope along the step is 0; 1 where it is below."""
+
+    def slope(length):
+        return residual(a + length * step)[0] @ step
+
+    return 1.0 if slope(1.0) <= 0.0 else float(brentq(slope, 0.0, 1.0))

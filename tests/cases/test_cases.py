@@ -11,7 +11,7 @@ PARTS = {
 }
 
 
-@pytest.mark.parametrize("case", PARTS)
+@pytest.mark.parametrize("case", [pytest.param("high_dive", marks=pytest.mark.slow), "human_step"])
 def test_a_case_is_a_function_whichever_part_of_its_folder_is_imported_first(case):
     code = f"""
 import importlib, sys

@@ -23,6 +23,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_drone_flies_a_metre_and_passes(folder):
     plan = planner.solve(planner.load_problem(folder / "problem.toml"))
     assert plan.converged

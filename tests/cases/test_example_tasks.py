@@ -9,10 +9,10 @@ from planner.cases.problem_file import load
 from planner.problem.goals import goals_of
 
 TASKS = sorted((ROOT / "examples" / "tasks").glob("*.toml"))
-# 5 s and more, which the proofs below share: those are slow too, so a plan is made once. Shorter ones of their kinds:
+# 1.5 s and more, which the proofs below share: those are slow too, so a plan is made once. Shorter ones of their kinds:
 # test_walking_gaits.py, test_periodic_gaits.py, test_vehicles.py, and test_avoid.py.
 LONG = dict.fromkeys(
-    ("around_a_post", "differential_drive", "through_a_window", "trot", "walk", "walk_on"), pytest.mark.slow
+    ("around_a_post", "boat", "differential_drive", "through_a_window", "trot", "walk", "walk_on"), pytest.mark.slow
 )
 
 

@@ -72,6 +72,7 @@ def test_a_machine_that_stands_keeps_its_balance_at_a_goal_of_its_trunk(tmp_path
     assert planner.solve(problem).converged
 
 
+@pytest.mark.slow
 def test_a_foot_that_is_dragged_with_little_load_is_named(forward):
     """Without a cost of slip nothing but friction keeps the foot from being dragged."""
     dragged = planner.solve(forward.recipe.rebuilt(weights={"slip": 0.0}, resolved=None))
@@ -245,6 +246,7 @@ joints = {{ x = 0.0, hip = 0.0, leg = 0.15 }}
 """
 
 
+@pytest.mark.slow
 def test_a_jump_needs_no_pose_of_the_whole_machine(tmp_path):
     """The trunk is passed 10 cm above where the leg reaches from the ground; at the end the foot stands again."""
     problem = problem_of(tmp_path, JUMP.format(through="true"))

@@ -140,6 +140,7 @@ def test_a_free_joint_in_a_goal_is_the_pose_of_its_body(tmp_path):
         problem_of(tmp_path, "[[goal]]\njoints = { root = [0, 0, 3] }\n", gravity=0)
 
 
+@pytest.mark.slow
 def test_a_frame_of_what_floats_goes_where_its_centre_of_mass_stays(tmp_path):
     """Nothing pushes it from outside: a frame within its size is reached by bending, one beyond is refused at once."""
     sat = ROOT / "benchmarks" / "moving"

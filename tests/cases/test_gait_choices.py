@@ -31,16 +31,16 @@ def test_whether_a_foot_stands_at_all_times(gait, stands):
 
 def test_gaits_that_always_stand_take_leapfrog_steps(tmp_path):
     def steps(more):
-        dynamics = loaded(tmp_path, WALKING + more).dynamics
+        dynamics = loaded(tmp_path, WALKING + 'guess = "hold"\n' + more).dynamics
         return dynamics.integrator, dynamics.substeps
 
-    assert steps('gait = "trot"\n') == ("leapfrog", 6)  # as many as by RK4
     assert steps('gait = "trot"\ndt = 0.005\n') == ("leapfrog", 3)
     assert steps('gait = { kind = "trot", duty = 0.45 }\n') == ("rk4", 6)  # it flies, and lands
     assert steps('gait = "trot"\nintegrator = "rk4"\n') == ("rk4", 6)
     assert steps('gait = "trot"\nsubsteps = 6\n') == ("rk4", 6)
     assert steps("") == ("rk4", 6)
-    problem = loaded(tmp_path, WALKING + 'gait = "trot"\n')
+    problem = loaded(tmp_path, WALKING + 'guess = "hold"\ngait = "trot"\n')
+    assert (problem.dynamics.integrator, problem.dynamics.substeps) == ("leapfrog", 6)  # as many as by RK4
     back = planner.load_plan(planner.solve(problem, max_iterations=1).save(tmp_path / "plan.npz"))
     assert (back.problem.dynamics.integrator, back.problem.dynamics.substeps) == ("leapfrog", 6)
 

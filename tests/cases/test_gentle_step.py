@@ -134,6 +134,7 @@ def test_a_plan_of_jerk_is_stored_and_loaded(plans, tmp_path):
     np.testing.assert_array_equal(read.K, plan.K)
 
 
+@pytest.mark.slow
 def test_a_gait_returns_to_its_accelerations():
     """What must come back is all but the belt, the accelerations among it; a pass answers to them as to the rest."""
     problem = human_step(phase="gait", jerk=1.0)

@@ -145,6 +145,7 @@ def test_joints_stay_in_their_ranges(plan, diver):
     assert np.all(high < ranges[:, 1] + slack)
 
 
+@pytest.mark.slow
 def test_the_dive_passes_its_proof(plan):
     proof = planner.prove(plan, rollouts=0)
     assert proof.passed, proof.table()

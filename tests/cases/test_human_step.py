@@ -235,6 +235,7 @@ def test_normal_pelvis_motion_is_far_from_it():
     assert problem.cost.value(xs, problem.first_guess) == pytest.approx(844.0, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_the_studys_cycle_is_repeated_by_mujoco(cycle):
     """Section 7 of the study: 0.7 deg RMS without feedback, 0.35 with gains; ours are 0.10 and 0.10.
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.cases.problem_file import load
+from planner.cases.problem_file import load, tasks
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import center_of_mass
 from planner.dynamics.protocol import rollout_states
@@ -42,8 +42,24 @@ def problem_of(tmp_path, text):
 
 
 @pytest.fixture(scope="module")
-def jump(tmp_path_factory):
-    return problem_of(tmp_path_factory.mktemp("jump"), THROUGH + GOAL)
+def made(tmp_path_factory):
+    """The problem of a jump, the phases that were found for it, and how often its poses were sought."""
+    phases, calls = [], []
+
+    def kept(*arguments):
+        phases.append(phases_of_jumps(*arguments))
+        return phases[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        original = tasks.poses_of
+        patch.setattr(tasks, "poses_of", lambda *args, **named: calls.append(1) or original(*args, **named))
+        patch.setattr(tasks, "phases_of_jumps", kept)
+        return problem_of(tmp_path_factory.mktemp("jump"), THROUGH + GOAL), phases, len(calls)
+
+
+@pytest.fixture(scope="module")
+def jump(made):
+    return made[0]
 
 
 def test_flights_begin_and_end_on_the_ground():
@@ -104,8 +120,8 @@ def test_a_flight_in_place_is_raised_to_a_parabola_from_where_the_machine_stands
 
 
 def test_a_jump_that_is_higher_than_its_legs_are_long_crouches_as_far_as_they_bend(jump):
-    m, dt, N = jump.dynamics.mechanism, 0.01, 180
-    feet, flight = standing_feet(m, jump.x0[:3]), (40, 140)
+    m, dt, N = jump.dynamics.mechanism, 0.02, 90
+    feet, flight = standing_feet(m, jump.x0[:3]), (20, 70)
     q = np.tile(jump.x0[:3], (N + 1, 1))
     # 1 s: 9.81 / 8 = 1.23 m, two thirds of which are more than the leg's 0.53 m; it takes off 5 cm above the crouch.
     q[:, 0] += (9.81 / 8 + 0.05) * np.sin(np.pi * np.linspace(0.0, 1.0, N + 1)) ** 2
@@ -113,10 +129,17 @@ def test_a_jump_that_is_higher_than_its_legs_are_long_crouches_as_far_as_they_be
     found = jumping(m, q, feet, places, [flight], m.joint_range, dt)
     assert found is not None
     z = center_of_mass(m, found)[:, 2]
-    np.testing.assert_allclose(np.diff(z, 2)[41:138] / dt**2, -9.81, rtol=1e-6)
-    on_ground = [*range(41), *range(140, N + 1)]
+    np.testing.assert_allclose(np.diff(z, 2)[21:68] / dt**2, -9.81, rtol=1e-6)
+    on_ground = [*range(21), *range(70, N + 1)]
     away = points_of_feet(m, found[on_ground], feet)[0] - places[on_ground]
     assert np.linalg.norm(away, axis=2).max() < 6e-3
+
+
+@pytest.fixture(scope="module")
+def standing():
+    """The quadruped and the state in which it stands."""
+    mechanism = planner.Mechanism.from_mjcf(QUADRUPED, contacts="ground")
+    return mechanism, planner.dynamics.static_equilibrium(mechanism, mechanism.keyframe("stand"))
 
 
 def leap(m, x0, apex, N=120):
@@ -128,9 +151,9 @@ def leap(m, x0, apex, N=120):
     return q
 
 
-def test_a_flight_that_is_not_in_the_middle_has_its_apex_where_the_motion_has_it(quadruped):
-    m, dt, (a, b) = quadruped.dynamics.mechanism, 0.01, (30, 60)
-    q, feet = leap(m, quadruped.x0, 45), standing_feet(m, quadruped.x0)
+def test_a_flight_that_is_not_in_the_middle_has_its_apex_where_the_motion_has_it(standing):
+    (m, x0), dt, (a, b) = standing, 0.01, (30, 60)
+    q, feet = leap(m, x0, 45), standing_feet(m, x0)
     paced = _at_speed(m, q, (a, b), [12, 20])
     np.testing.assert_allclose(paced[[0, 45, -1]], q[[0, 45, -1]], atol=1e-12)
     for knots in (slice(a, 46), slice(45, b + 1)):  # at one speed on its way up and at one on its way down
@@ -146,9 +169,9 @@ def test_a_flight_that_is_not_in_the_middle_has_its_apex_where_the_motion_has_it
     assert found[45, 0] == pytest.approx(q[45, 0], abs=1e-12)
 
 
-def test_a_machine_that_steps_before_it_jumps_goes_with_its_feet(quadruped):
-    m, dt, (a, b) = quadruped.dynamics.mechanism, 0.01, (70, 100)
-    q, feet = leap(m, quadruped.x0, 85), standing_feet(m, quadruped.x0)
+def test_a_machine_that_steps_before_it_jumps_goes_with_its_feet(standing):
+    (m, x0), dt, (a, b) = standing, 0.01, (70, 100)
+    q, feet = leap(m, x0, 85), standing_feet(m, x0)
     places = np.tile(points_of_feet(m, q[:1], feet)[0], (len(q), 1, 1))
     places[:, :, 0] += (q[:, 0] - q[0, 0])[:, None]
     places[a:, :, 0] = places[a, :, 0]
@@ -158,16 +181,8 @@ def test_a_machine_that_steps_before_it_jumps_goes_with_its_feet(quadruped):
     np.testing.assert_allclose(found[:, 0], q[:, 0], atol=1e-12)
 
 
-def test_phases_are_those_of_a_parabola_to_the_goal(tmp_path, jump):
-    seen = []
-
-    def kept(*arguments):
-        seen.append(phases_of_jumps(*arguments))
-        return seen[-1]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planner.cases.problem_file.tasks.phases_of_jumps", kept)
-        problem_of(tmp_path, THROUGH + GOAL)
+def test_phases_are_those_of_a_parabola_to_the_goal(made):
+    _, seen, _ = made
     first, flight, last = seen[0]
     assert first["stand"] == last["stand"] == ["shank"]
     assert flight["stand"] == []
@@ -189,17 +204,13 @@ def test_a_leg_of_two_hinges_jumps(jump):
     assert np.count_nonzero(depths < 0.0) * jump.dynamics.dt > 0.2  # s, in the air
 
 
-@pytest.fixture(scope="module")
-def quadruped(tmp_path_factory):
-    path = tmp_path_factory.mktemp("quadruped") / "p.toml"
+@pytest.mark.slow
+def test_a_quadruped_jumps_from_its_guess(tmp_path):
+    """Shooting that ends with the first rollout that closes the defects leaves it where it stands, at 0.32 m."""
     text = f'model = "{QUADRUPED}"\nstart = "stand"\nduration = 1.2\n'
     text += '[[goal]]\nframe = "trunk"\nposition = [0, 0, 0.45]\ntime = 0.6\nthrough = true\n'
-    path.write_text(text + '[[goal]]\njoints = "stand"\n')
-    return load(path).problem
-
-
-def test_a_quadruped_jumps_from_its_guess(quadruped):
-    """Shooting that ends with the first rollout that closes the defects leaves it where it stands, at 0.32 m."""
+    (tmp_path / "p.toml").write_text(text + '[[goal]]\njoints = "stand"\n')
+    quadruped = load(tmp_path / "p.toml").problem
     xs = rollout_states(quadruped.dynamics, quadruped.x0, quadruped.us)
     assert xs[60, 2] == pytest.approx(0.45, abs=0.02)
     assert xs[-1, 2] == pytest.approx(xs[0, 2], abs=0.05)  # it lands
@@ -210,6 +221,7 @@ def test_a_quadruped_jumps_from_its_guess(quadruped):
     assert plan.total_iterations < 120  # 47 of them; 163 in four solves with softer ground
 
 
+@pytest.mark.slow
 def test_a_leap_goes_most_of_its_way_in_the_air(tmp_path):
     """Legs that stand until the trunk is nearly above its apex do not reach: it is to fly from where they do."""
     text = f'model = "{QUADRUPED}"\nstart = "stand"\nduration = 1.2\n'
@@ -225,15 +237,10 @@ def test_a_leap_goes_most_of_its_way_in_the_air(tmp_path):
     assert planner.solve(problem).converged
 
 
-def test_the_poses_of_a_jump_are_sought_once(tmp_path):
-    from planner.cases.problem_file import tasks
-
-    calls = []
-    with pytest.MonkeyPatch.context() as patch:
-        original = tasks.poses_of
-        patch.setattr(tasks, "poses_of", lambda *args, **named: calls.append(1) or original(*args, **named))
-        assert problem_of(tmp_path, THROUGH + GOAL).us is not None
-    assert len(calls) == 1
+def test_the_poses_of_a_jump_are_sought_once(made):
+    problem, _, times = made
+    assert problem.us is not None
+    assert times == 1
 
 
 def test_who_says_how_to_begin_gets_it(tmp_path):

@@ -22,7 +22,11 @@ def plan_of(name):
     return planner.solve(planner.load_problem(name))
 
 
-@pytest.mark.parametrize("name", FILES)
+# Those of 2 s and more, whose plans the proof below shares: what they show is shown by the others.
+SLOW = dict.fromkeys(("lander", "pusher"), pytest.mark.slow)
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW.get(name, ())) for name in FILES])
 def test_it_converges_and_meets_every_goal(name):
     plan = plan_of(name)
     assert plan.success
@@ -46,6 +50,7 @@ def test_it_passes(name):
     assert proof.passed, proof.reason
 
 
+@pytest.mark.slow
 def test_the_lander_pushes_only_and_the_quadrotor_goes_through_its_window():
     lander, drone = plan_of("lander"), plan_of("quadrotor")
     assert lander.us[:, 0].min() >= 0.0
@@ -76,6 +81,7 @@ def test_the_quadruped_rises_and_its_feet_stay():
         assert slip < 0.1 * STRIDE  # more than STRIDE is what the proof calls sliding
 
 
+@pytest.mark.slow
 def test_the_pusher_moves_a_trolley_that_no_motor_drives():
     push = plan_of("pusher")
     mechanism = push.problem.dynamics.mechanism

@@ -66,6 +66,7 @@ def test_legs_of_another_mass():
         np.testing.assert_allclose(other.segments[name].inertia, share * np.array(segment.inertia))
 
 
+@pytest.mark.slow
 def test_three_cycles_with_a_stiffer_patient():
     """Section 7 of the study, its cost: 0.4 deg with gains; springs 20 % stiffer 1.3."""
     plan = planner.solve(human_step(cycles=3, cost="study"))

@@ -267,6 +267,7 @@ def test_cycles_that_turn_are_images_of_each_other(tmp_path):
     assert parts == pytest.approx([parts[0]] * 3, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_free_times_end_where_the_plan_costs_least(tmp_path):
     """A hop's stance: the plan of the middle of the range is tried first, and none that was tried costs less."""
     monopod = ROOT / "mjcf" / "monopod" / "scene.xml"
@@ -374,6 +375,7 @@ def test_a_cut_search_says_what_does_not_return(tmp_path):
     assert (finer.key, finer.value) == ("dt", 0.5 * short.dynamics.dt)
 
 
+@pytest.mark.slow
 def test_open_coordinates_need_not_return(tmp_path):
     asked = loaded(tmp_path, TROT + 'periodic = { travel = 0.125, mirror = true, left_open = ["root x"] }\n')
     x = next(

@@ -1,7 +1,6 @@
 """problem.toml: what it says becomes the problem, and a plan holds all of it."""
 
 import runpy
-import shutil
 
 import numpy as np
 import pytest
@@ -52,14 +51,13 @@ def test_the_example_converges_passes_and_is_the_same_in_python():
 
 
 def test_a_plan_needs_neither_file(tmp_path, monkeypatch):
-    for name in ("crane.toml", "crane.xml"):
-        shutil.copy(EXAMPLES / name, tmp_path)
-    plan = planner.solve(load(tmp_path / "crane.toml").problem)
+    file = write(tmp_path)
+    plan = planner.solve(load(file).problem)
     plan.save(tmp_path / "plan.npz")
     assert f"CONVERGED: {plan.problem.appearance.title}: " in repr(planner.load_plan(tmp_path / "plan.npz"))
     assert "problem-file" not in repr(plan)
-    (tmp_path / "crane.toml").unlink()
-    (tmp_path / "crane.xml").unlink()
+    file.unlink()
+    (tmp_path / "cart.xml").unlink()
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     stored = planner.load_plan("../plan.npz")

@@ -150,6 +150,7 @@ def test_first_guesses_arrive(style):
     assert misses[0] / misses[1] == pytest.approx(4.0, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_default_lift_is_three_times_the_rated_payload_and_passes(plan):
     assert plan.parameters["payload"] == 3.0 * RATED
     assert plan.success, plan.message

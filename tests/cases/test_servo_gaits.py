@@ -51,6 +51,7 @@ def in_the_air(problem):
 )
 def test_a_swinging_leg_costs_nothing_where_its_servos_follow_it(tmp_path, text):
     """kp (u - q) - kv v is the torque of inverse dynamics: no force of the ground acts on a leg in the air."""
+    text = 'guess = "hold"\n' + text
     problem = loaded(tmp_path, text if "gait" in text else 'gait = "trot"\n' + text)
     dynamics, tracking = problem.dynamics, tracking_of(problem.cost)
     mechanism, xs = dynamics.mechanism, tracking.x_ref
@@ -68,7 +69,7 @@ def test_a_swinging_leg_costs_nothing_where_its_servos_follow_it(tmp_path, text)
 def test_motors_are_weighed_from_what_holds_the_goal(tmp_path):
     """The servos of a machine that has both follow the gait; the weights of neither change."""
     for servos in ("knee", "none"):
-        problem = loaded(tmp_path, GOAL + 'gait = "trot"\n', servos)
+        problem = loaded(tmp_path, GOAL + 'guess = "hold"\ngait = "trot"\n', servos)
         tracking, one = tracking_of(problem.cost), servos_of(problem.dynamics)
         assert one.sum() == (4 if servos == "knee" else 0)
         held = quasi_static_controls(problem.dynamics, tracking.x_ref[-1])
@@ -84,6 +85,7 @@ def test_a_machine_that_leans_on_its_feet_is_weighed_from_what_holds_its_goal(tm
     assert np.ptp(tracking_of(problem.cost).u_ref, axis=0).max() == 0.0
 
 
+@pytest.mark.slow
 def test_a_quadruped_with_servos_trots_from_a_line(tmp_path):
     """With one pose for reference each swing was paid as effort, three times as much in all."""
     problem = loaded(tmp_path, GOAL + 'gait = "trot"\n')

@@ -65,6 +65,7 @@ def trunk_goal(tmp_path, dx, dz):
     return load(tmp_path / "trunk.toml").problem
 
 
+@pytest.mark.slow
 def test_a_trunk_is_brought_to_a_place_while_its_feet_stay(tmp_path):
     """No actuator moves the trunk in the air: the legs carry it there."""
     problem = trunk_goal(tmp_path, 0.01, -0.02)
@@ -78,6 +79,7 @@ def test_a_trunk_is_brought_to_a_place_while_its_feet_stay(tmp_path):
     assert abs(feet[1][0] - feet[0][0]) < 0.035  # m: a ball rolls by its radius in a radian
 
 
+@pytest.mark.slow
 def test_a_trunk_out_of_its_legs_reach_is_refused_with_the_nearest_place(tmp_path):
     with pytest.raises(PlannerError, match=r"goal 1 \(trunk\) is out of reach by 0\.\d+ m"):
         trunk_goal(tmp_path, 0.0, 0.5)

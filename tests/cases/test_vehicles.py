@@ -86,9 +86,14 @@ def test_a_hinge_with_a_range_is_no_wheel():
     assert not rolling_radii(machine).any()
 
 
-def test_a_vehicles_wheels_and_place_have_no_pose_to_be_held_at(tmp_path):
-    problem = task(tmp_path, [0.8, 0.3, RADIUS])
-    machine = problem.dynamics.mechanism
+@pytest.fixture(scope="module")
+def beside(tmp_path_factory):
+    """The task of a goal ahead and to the left."""
+    return task(tmp_path_factory.mktemp("drive"), [0.8, 0.3, RADIUS])
+
+
+def test_a_vehicles_wheels_and_place_have_no_pose_to_be_held_at(beside):
+    problem, machine = beside, beside.dynamics.mechanism
     np.testing.assert_array_equal(
         np.flatnonzero(rolling_dofs(machine, problem.x0[: machine.nq])), [0, 1, 5]
     )  # x, y, yaw
@@ -98,12 +103,11 @@ def test_a_vehicles_wheels_and_place_have_no_pose_to_be_held_at(tmp_path):
     assert np.all(weights[[2, 3, 4]] > 0.0)  # its height and its tilt
 
 
-def test_a_vehicle_steers_to_a_goal_beside_it(tmp_path):
-    problem = task(tmp_path, [0.8, 0.3, RADIUS])
-    plan = planner.solve(problem)
+def test_a_vehicle_steers_to_a_goal_beside_it(beside):
+    plan = planner.solve(beside)
     assert plan.success, plan.message
     assert plan.total_iterations <= 30  # 11 measured; on an octagon's corners it did not converge in 275
-    assert skating(plan, problem) == ()  # the balls are there to slide
+    assert skating(plan, beside) == ()  # the balls are there to slide
 
 
 def test_a_goal_that_is_nearly_met_needs_weight_and_no_softer_contacts(tmp_path):
@@ -126,10 +130,10 @@ TURN = '[[goal]]\nframe = "base"\nposition = [0, 0, 0.06]\norientation = { yaw =
 
 
 PLAIN = "goal = { root = [1, 0, 0.06, 1, 0, 0, 0] }"
-GOALS = [PLAIN, pytest.param(AHEAD, marks=pytest.mark.slow), pytest.param(TURN, marks=pytest.mark.slow)]
 
 
-@pytest.mark.parametrize("goal", GOALS, ids=["plain", "ahead", "turn"])
+@pytest.mark.slow
+@pytest.mark.parametrize("goal", [PLAIN, AHEAD, TURN], ids=["plain", "ahead", "turn"])
 def test_servos_of_velocity_drive_a_metre_and_turn(tmp_path, goal):
     """To tell a wheel to roll as the vehicle goes is no effort, and a plain goal leaves open how far it turns.
 
@@ -155,12 +159,15 @@ def test_a_servo_that_steers_is_not_held_straight(tmp_path):
     text = SERVOS.replace('<body name="left"', f'{fork}{arm}<body name="left"', 1)
     text = text.replace("</mujoco>", f"{servo.format('steer')}{servo.format('arm')}</mujoco>")
     (tmp_path / "drive.xml").write_text(text, encoding="utf-8")
-    (tmp_path / "drive.toml").write_text(f'model = "drive.xml"\nduration = 3.0\n{AHEAD}', encoding="utf-8")
+    (tmp_path / "drive.toml").write_text(
+        f'model = "drive.xml"\nduration = 3.0\nguess = "hold"\n{AHEAD}', encoding="utf-8"
+    )
     weights = load(tmp_path / "drive.toml").problem.parameters["resolved"]["weights"]["effort"]
     assert weights[2] == pytest.approx(1.0 / 0.25**2)  # the module's MIN_DISPLACEMENT, in rad
     assert weights[3] > 100.0 * weights[2]  # the reference says where the arm is to be
 
 
+@pytest.mark.slow
 def test_a_goal_straight_beside_a_vehicle_is_reached_from_shaken_controls(tmp_path):
     """From rest no small change of the wheels' torques moves it sideways: the first guess is a saddle."""
     plan = planner.solve(task(tmp_path, [0.0, 0.3, RADIUS], duration=3.0))

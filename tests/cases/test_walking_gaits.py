@@ -199,6 +199,7 @@ TURNED = f'''model = "{SCENE}"
 start = "stand"
 gait = "trot"
 duration = 2.0
+guess = "hold"
 [[goal]]
 frame = "trunk"
 position = [{{x}}, 0, {{z}}]
@@ -206,7 +207,8 @@ orientation = {{{{ yaw = {{yaw}} }}}}
 '''
 
 
-@pytest.mark.parametrize(("x", "yaw"), [(0.05, 0.0), (0.0, 30.0), (0.1, 90.0)])
+@pytest.mark.parametrize(("x", "yaw"), [pytest.param(0.05, 0.0, marks=pytest.mark.slow), (0.0, 30.0),
+                                         pytest.param(0.1, 90.0, marks=pytest.mark.slow)])  # fmt: skip
 def test_feet_go_with_the_trunk_to_a_goal_within_their_reach(tmp_path, x, yaw):
     """The stance of the goal is that of the start, moved along the ground by the trunk's displacement and yaw."""
     problem = loaded(tmp_path, TURNED.format(x=x, z=0.31, yaw=yaw))
@@ -244,7 +246,7 @@ def test_a_foot_that_no_phase_lifts_stays(tmp_path):
         ("{ feet = { front_left_shenk = 0.0 } }", "Did you mean 'front_left_shank'"),
         ("{ feet = { front_left_shank = 0.0 } }", "no turn of 'front_right_shank'"),
         ("{ feet = { front_left_shank = 2.0 } }", "the turn of front_left_shank is 2.0"),
-        ('{ kind = "trot", stride = 2.0 }', "further than its leg reaches"),
+        pytest.param('{ kind = "trot", stride = 2.0 }', "further than its leg reaches", marks=pytest.mark.slow),
     ],
 )
 def test_a_gait_that_cannot_be_meant_is_refused(tmp_path, gait, message):

@@ -81,7 +81,7 @@ def test_wrong_words_are_refused_in_one_sentence(tmp_path, words, fragments):
 
 def test_a_refusal_exits_2_with_one_sentence_and_no_traceback(tmp_path):
     refused(launch("run", "hopper", "--height", "-3", cwd=tmp_path), "height is -3.0")
-    done = launch("run", "hopper", "--height", "-3", "--json", cwd=tmp_path)
+    done = run("run", "hopper", "--height", "-3", "--json", cwd=tmp_path)
     assert done.returncode == 2
     assert json.loads(done.stdout)["error"].startswith("height is -3.0")
 

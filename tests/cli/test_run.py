@@ -179,7 +179,9 @@ def test_wrong_flags_of_a_proof_are_one_sentence(tmp_path, capsys, words, said):
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["run", "prove", "report"])
+@pytest.mark.parametrize(
+    "command", ["run", *(pytest.param(one, marks=pytest.mark.slow) for one in ("prove", "report"))]
+)
 def test_the_verdict_is_printed_before_what_is_only_shown(tmp_path, capsys, monkeypatch, command):
     """A note with the verdict, then a line for each of the other steps, then the table and, once, the verdict."""
     order = []
@@ -268,9 +270,10 @@ def test_what_a_plan_bears_is_not_measured_of_one_that_was_not_solved(tmp_path, 
 def test_what_a_plan_bears_is_not_measured_where_the_work_does_not_reach():
     """The steps after a verdict are some thirty replays, which a work of one proof does not pay."""
     plan = planner.solve(planner.cases.two_link(horizon=50))
+    proof = planner.prove(plan, rollouts=0)
     for proofs, said in ((0.0, True), (1.0, True), (3.0, False)):
         budget = WorkBudget(proofs * work_of_proof(plan.problem))
-        assert bool(run_command._missing(plan, planner.prove(plan, rollouts=0), budget)) is said
+        assert bool(run_command._missing(plan, proof, budget)) is said
 
 
 def test_work_of_a_problem_file(tmp_path, capsys):

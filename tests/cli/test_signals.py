@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+from commands import ARM as QUICK
 from commands import PLANNER, refused, run
 from PIL import Image
 
@@ -95,7 +96,7 @@ def test_a_killed_run_keeps_what_was_finished_and_is_resumed(tmp_path, kill):
     assert fresh["proof"]["monte_carlo"] == resumed["proof"]["monte_carlo"]  # as if it had never been interrupted
 
 
-@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("kill", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
 def test_a_kill_leaves_nothing_half_written(tmp_path, kill):
     child = started(["run", *LONG, "--no-video", "--out", "o"], tmp_path)
     child.send_signal(kill)
@@ -106,7 +107,7 @@ def test_a_kill_leaves_nothing_half_written(tmp_path, kill):
 
 def test_two_runs_do_not_write_into_one_folder(tmp_path):
     """The second one is refused; when the first is killed, the folder is free at once."""
-    other = [*ARM, "--rollouts", "0", "--out", "o"]
+    other = ["run", *QUICK, "--no-video", "--quiet", "--rollouts", "0", "--out", "o"]
     first = started(["run", *LONG, "--no-video", "--out", "o"], tmp_path)
     try:
         refused(run(*other, cwd=tmp_path), "'o'", "another planner is writing into it")

@@ -70,7 +70,7 @@ def test_a_full_stdout_exits_2_and_keeps_the_files(tmp_path):
 @pytest.mark.parametrize(
     ("words", "code"),
     [(["list"], 0), ([], 0), (["run", "--help"], 0), (["fly"], 2),
-     (["solve", "two-link", "--horizon", "40", "--quiet", "--out", "p.npz"], 0)],
+     pytest.param(["solve", "two-link", "--horizon", "40", "--quiet", "--out", "p.npz"], 0, marks=pytest.mark.slow)],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )  # fmt: skip
 def test_nobody_needs_to_listen(tmp_path, words, code):

@@ -32,6 +32,7 @@ def test_a_monopod_hops_on_from_where_it_landed_in_spite_of_pushes(monopod):
     assert len(monopod.plan.history) < len(first.history)
 
 
+@pytest.mark.slow
 def test_the_same_start_again_is_the_same_plan_whatever_was_before(monopod):
     plans = []
     for dx in (0.02, 0.05, 0.02):

@@ -34,6 +34,7 @@ def test_a_loop_arrives_and_stays_and_is_the_same_again(controller):
     assert loop.plan.N == 80
     assert np.isfinite(loop.cost)
     assert json.dumps(verdict.to_dict())
+    assert "PASS" in loop._repr_html_()
 
 
 def test_a_control_acts_when_it_is_ready(controller):
@@ -124,6 +125,7 @@ def test_a_joint_that_moves_is_followed(controller):
     assert verdict.sections["follows"].measured[0].value < 0.1
 
 
+@pytest.mark.slow
 def test_a_goal_that_is_known_ahead_is_followed_more_closely(controller):
     dt = controller.problem.dynamics.dt
 
@@ -345,6 +347,7 @@ def test_a_push_is_an_arrow_in_the_film_while_it_acts(controller):
     assert max(yellow[0], yellow[2], *yellow[3:]) == 0
 
 
+@pytest.mark.slow
 def test_a_controller_that_knows_its_latency_does_not_tremble_at_rest():
     """Its gains are stiff: a control that comes a stage late shakes the arm, one for the state to come does not."""
     problem = planner.load_problem(ROOT / "examples" / "tasks" / "reach.toml")
@@ -380,7 +383,8 @@ def crane(tmp_path_factory):
     return planner.Controller(planner.load_problem(folder / "crane.toml"), latency=0.004)
 
 
-@pytest.mark.parametrize("force", [pytest.param(10.0, marks=pytest.mark.slow), 30.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("force", [10.0, 30.0])
 def test_a_push_beyond_a_range_is_got_over(crane, force):
     """Multipliers of plans that are far from a minimum would drive the trolley to and fro for ever."""
     loop = planner.simulate(crane, latency=0.004, pushes=[planner.Push("load", force=force, time=1.0)])

@@ -20,7 +20,10 @@ QUICK_WRONG = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", QUICK_RIGHT)
+SLOW = dict.fromkeys(QUICK_RIGHT[:3], pytest.mark.slow)  # 1.5 s and more
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW.get(name, ())) for name in QUICK_RIGHT])
 def test_a_right_plan_passes(name):
     agrees, said = verdicts.judge_right(name, seed=0)
     assert agrees, said

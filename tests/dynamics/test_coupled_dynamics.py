@@ -100,7 +100,7 @@ def test_derivatives_are_those_of_differences(integrator, text, seed):
     assert relative_error(wanted, slope) < 2e-5
 
 
-@machines(12, max_dofs=16)
+@machines(6, max_dofs=16)
 def test_derivatives_are_those_of_a_complex_step(text, seed):
     rng = np.random.default_rng(seed)
     m, _ = coupled(text, rng)

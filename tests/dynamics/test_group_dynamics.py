@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from solves import every_way
 
 import planner
 from planner import PlannerError, Problem, Status, TrackingCost
@@ -10,6 +9,7 @@ from planner.cases.plan_file import load_plan
 from planner.model.space import StateSpace, exp_quaternion, product
 from planner.solvers import lq
 from planner.solvers.engine import NumpyEngine, acquire_engine
+from planner.solvers.options import UPDATES
 
 INERTIA = np.diag([1.0, 2.0, 3.5])
 TURN = exp_quaternion(np.array([0.4, -1.1, 0.3]))
@@ -61,7 +61,8 @@ def rollout(problem, us, plan=None, x0=None):
     return np.array(states), np.array(controls)
 
 
-@every_way
+@pytest.mark.parametrize("update", UPDATES)
+@pytest.mark.parametrize("line_search", ["armijo", "wolfe", "goldstein", pytest.param("exact", marks=pytest.mark.slow)])
 def test_a_body_is_turned_to_its_goal(update, line_search):
     problem = turn()
     assert isinstance(acquire_engine(problem), NumpyEngine)

@@ -107,7 +107,7 @@ def test_derivatives_of_a_stage(name, integrator):
       <geom type="capsule" fromto="0 0 0 .1 .1 -.2" size=".02" mass=".5"/></body></body></body></worldbody>
       <actuator><motor joint="hinge"/></actuator></mujoco>"""
     m = Mechanism.from_mjcf(text, contacts="off")
-    for _ in range(25):
+    for _ in range(12):
         x = m.space.integrate(m.home, 0.5 * rng.normal(size=m.space.ndx))
         dynamics = RigidBodyDynamics(touching(m, x, LAWS[name], rng), 1e-3, integrator)
         A, _ = dynamics.linearize(np.stack([x, x]), np.zeros((1, 1)))

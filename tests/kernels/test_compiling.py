@@ -204,6 +204,7 @@ print(is_warm(*KERNELS["tree inverse"]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif((os.cpu_count() or 1) == 1, reason="one processor compiles kernels when they are called")
 def test_a_kernel_that_alone_is_missing_is_compiled_too(tmp_path):
     output, _ = run_python(ALONE, Path(planner.__file__).parents[1], tmp_path)
@@ -225,6 +226,7 @@ print(len(list(jit.cache_directory().rglob("*.nbc"))))
 """
 
 
+@pytest.mark.slow
 def test_a_numba_with_other_internals(tmp_path):
     """Kernels are compiled by plain njit then, with one line said, and do the same."""
     results = [run_python(code, Path(planner.__file__).parents[1], tmp_path / name) for name, code in (

@@ -88,6 +88,7 @@ def on_the_floor(m, q):
     return q, at_rest.points[np.argmax(at_rest.depths), 0]
 
 
+@pytest.mark.slow
 @others
 def test_gymnasiums_hopper_stands_up_and_mujoco_repeats_it(tmp_path):
     """From a crouch, the foot where it is; inside the ranges of joints and motors."""

@@ -89,7 +89,7 @@ COLUMN = """<mujoco><worldbody><geom name="floor" type="plane" size="2 2 0.1"/>
 
 def test_an_object_that_rests_on_the_floor_is_not_named(tmp_path):
     (tmp_path / "column.xml").write_text(COLUMN, encoding="utf-8")
-    lines = 'model = "column.xml"\nstart = "home"\ngoal = { yaw = 0.5, elbow = -0.5 }\nduration = 1.0'
+    lines = 'model = "column.xml"\nstart = "home"\ngoal = { yaw = 0.5, elbow = -0.5 }\nduration = 0.5'
     (tmp_path / "column.toml").write_text(lines, encoding="utf-8")
     plan = planner.solve(load(tmp_path / "column.toml").problem)
     (fix,) = suggested_fixes(plan, planner.prove(plan, rollouts=0))

@@ -52,6 +52,7 @@ def test_what_is_driven_or_meets_nothing_does_not_lie():
     assert not stationary_object_dofs(Mechanism.from_mjcf(text(table=""))).any()
 
 
+@pytest.mark.slow
 def test_an_arm_beside_an_object_is_planned_along_a_line_and_passes(tmp_path):
     problem = reach(tmp_path).problem
     plan = planner.solve(problem)

@@ -40,7 +40,8 @@ WHOLE = [
 REFUSED = {
     "dm ball_in_cup": (("tendon",), "limit of tendon 'string'"),
 }
-each = pytest.mark.parametrize("name", [*WHOLE, *REFUSED])
+SLOW = {"dm dog": pytest.mark.slow}  # its meshes take MuJoCo 3 s
+each = pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW.get(name, ())) for name in (*WHOLE, *REFUSED)])
 
 
 @cache
@@ -144,6 +145,7 @@ def test_derivatives_are_those_of_differences(name):
     assert relative_error(D.q @ dq + D.qd @ dqd + D.input @ dtau, slope) < 1e-7
 
 
+@pytest.mark.slow
 def test_activations_are_among_them():
     """The dog's muscles are filters: otherwise no model here would have any."""
     assert np.all(machine("dm dog")[0].actuators.dynamics != DIRECT)

@@ -128,6 +128,7 @@ def distance_to_post(plan, xs):
     return least
 
 
+@pytest.mark.slow
 def test_a_plan_goes_around_what_stands_beside_a_urdf_and_so_does_the_stored_plan(tmp_path):
     problem = load(problem_file(tmp_path)).problem
     plan = planner.solve(problem)

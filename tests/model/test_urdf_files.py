@@ -188,7 +188,7 @@ def sphere(n):
 
 
 def test_large_meshes_are_stored_as_what_is_seen_and_what_touches(tmp_path):
-    full = sphere(220)
+    full = sphere(130)
     (tmp_path / "m.stl").write_bytes(stl(full))
     _, files = written(with_mesh("m.stl"), tmp_path / "arm.urdf")
     sizes = {name: len(content) for name, content in files.items()}

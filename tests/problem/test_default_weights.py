@@ -142,7 +142,9 @@ ROCKET = """<mujoco><worldbody><body name="rocket"><freejoint/><geom type="cylin
   </actuator></mujoco>"""
 
 
-@pytest.mark.parametrize(("limited", "limit"), [('range="-12 12"', np.radians(12.0)), ("", 0.25)])
+@pytest.mark.parametrize(
+    ("limited", "limit"), [('range="-12 12"', np.radians(12.0)), pytest.param("", 0.25, marks=pytest.mark.slow)]
+)
 def test_a_servo_of_a_machine_that_swings_may_move_its_joint(limited, limit):
     """By half of its range, or the least displacement of a joint: 1e4 times what accelerates the nozzle alone."""
     mechanism = planner.Mechanism.from_mjcf(ROCKET.format(range=limited), contacts="off")

@@ -80,7 +80,7 @@ POST = """
 """
 
 
-@pytest.mark.parametrize("objective", ["effort", "energy"])
+@pytest.mark.parametrize("objective", ["effort", pytest.param("energy", marks=pytest.mark.slow)])
 def test_around_a_post_an_objective_starts_from_the_default_plan(tmp_path, objective):
     """Without a weight of velocities j3, which costs nearly nothing, swings at 12 rad/s for a way of 0.3 rad."""
     (tmp_path / "arm.xml").write_text(POST)

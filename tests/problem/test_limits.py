@@ -164,6 +164,7 @@ def lifted_pendulum(limits, N=20):
     return Problem(dynamics, cost, np.zeros(2), us=np.full((N, 1), 2.0), limits=limits)
 
 
+@pytest.mark.slow
 def test_an_augmented_lagrangian_against_slsqp():
     limits = Limits(control=4.9, state={1: (-0.1, 1.4)}, final="exact", tolerance=1e-6)
     problem = lifted_pendulum(limits)

@@ -62,7 +62,8 @@ def test_without_any_way_the_nearest_pose_stays_after_a_few_searches(elbow, monk
     assert {"samples": MORE_SAMPLES} in calls
 
 
-@pytest.mark.parametrize("height", [0.3, 3.0], ids=["low", "without an end"])
+# A search that finds nothing takes 20 s.
+@pytest.mark.parametrize("height", [0.3, pytest.param(3.0, marks=pytest.mark.slow)], ids=["low", "without an end"])
 def test_a_wall_without_an_end_is_said(tmp_path, height):
     (tmp_path / "gantry.xml").write_text(gantry(wall=f'type="box" size="0.05 0.5 {height}"'), encoding="utf-8")
     lines = ('model = "gantry.xml"', 'start = "left"', 'goal = "right"', "duration = 2.0", "dt = 0.05", "avoid = {}")

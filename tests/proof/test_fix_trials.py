@@ -100,6 +100,7 @@ def test_no_trial_begins_that_could_not_solve_anything(tmp_path):
     assert [one.outcome for one in steps if isinstance(one, FixTrial)] == ["not tried"]
 
 
+@pytest.mark.slow
 def test_a_fix_whose_plan_then_has_too_long_a_step_goes_on_at_a_finer_one(tmp_path):
     """Neither the fix alone nor finer steps alone make it pass."""
     problem = arm(tmp_path, weights={"final_position": 20}, integrator='"euler"')

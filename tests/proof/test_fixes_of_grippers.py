@@ -44,6 +44,7 @@ def test_a_path_that_a_held_control_leaves_with_and_without_gains_gets_a_stiffer
     assert proved(tmp_path, more="dt = 0.01\n")[1].passed
 
 
+@pytest.mark.slow
 def test_a_plan_whose_gains_shake_the_file_alone_passes_for_open_loop_only(tmp_path):
     """The soft equality gives the file a mode that the plan does not know, and one period late the gains excite it.
 

@@ -27,14 +27,21 @@ def fixes(tmp_path, *lines):
 
 
 @pytest.mark.parametrize(
-    "goal", ["goal = { x = 0.3, z = -0.71, tilt = 0 }", '[[goal]]\nframe = "craft"\nposition = [0.3, 0, 0.29]']
-)
+    "goal", [
+        "goal = { x = 0.3, z = -0.71, tilt = 0 }",
+        pytest.param('[[goal]]\nframe = "craft"\nposition = [0.3, 0, 0.29]', marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_a_craft_that_lands_on_its_thrusters_is_offered_the_files_contacts(tmp_path, goal):
     """0.29 m is its height where both legs lie flush with the floor: no clearance leads there, and no exclusion."""
     proof, found = fixes(tmp_path, "start = { x = -0.3 }", 'contacts = "avoid"', goal)
     assert not proof.your_file.passed
     assert found == [("contacts", "file", "lands")]
-    proof, _ = fixes(tmp_path, "start = { x = -0.3 }", goal)  # by default it has them
+
+
+@pytest.mark.slow
+def test_by_default_it_has_them_and_lands(tmp_path):
+    proof, _ = fixes(tmp_path, "start = { x = -0.3 }", "goal = { x = 0.3, z = -0.71, tilt = 0 }")
     assert proof.passed
 
 

@@ -46,6 +46,7 @@ def failure(plan, **options):
     return proof.reason
 
 
+@pytest.mark.slow
 def test_without_a_fault_it_passes(plan, hopper_plan):
     assert proof_of(plan).passed
     assert proof_of(hopper_plan).passed

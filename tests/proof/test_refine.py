@@ -142,6 +142,7 @@ def test_a_plan_that_its_steps_do_not_resolve_is_refined(failed):
     assert refine(plan, proof).passed
 
 
+@pytest.mark.slow
 def test_a_ball_that_is_pushed_is_refined_to_half_the_stage_in_as_many_substeps():
     """Three substeps follow the arm at its start, and not the ball's contact; of half a stage two would.
 

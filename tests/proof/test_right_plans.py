@@ -85,6 +85,7 @@ RHOMBUS = """<mujoco><worldbody><body><joint axis="0 1 0" damping=".01"/>
   <actuator><motor joint="e"/></actuator></mujoco>"""
 
 
+@pytest.mark.slow
 def test_a_chain_nearly_in_line_has_parity_but_not_with_another_mass(monkeypatch):
     m = Mechanism.from_mjcf(RHOMBUS)
     section = planner.parity(m, seed=2)  # its accelerations are off by 1.2e-10 of the terms without the closure's

@@ -27,6 +27,7 @@ def values(section):
 # The general rules.
 
 
+@pytest.mark.slow
 def test_a_runge_kutta_plan_of_the_acrobot_passes():
     plan = swing_up("rk4", 0.005)  # at 0.01 the error of the integrator grows to 0.28 rad without gains
     proof = planner.prove(plan, rollouts=0)

@@ -243,6 +243,7 @@ def test_a_joint_that_stops_within_a_step_of_the_simulator_passes_in_the_file(tm
     assert planner.prove(plan, rollouts=0).passed
 
 
+@pytest.mark.slow
 def test_each_mode_passes_in_a_stiff_file_by_an_integrator_of_its_own(tmp_path):
     """Upright, the arm doubles an error every 0.3 s, also that of MuJoCo's first-order method: gains take it back."""
     upright = WRIST.replace(' gravity="0 0 0"', "").replace("0 0 -0.3", "0 0 0.3")

@@ -128,32 +128,30 @@ def test_no_time_helps_a_motor_that_cannot_hold_the_goal(tmp_path):
     problem = arm(
         tmp_path, limits={"control": '"model"'}, model={"motor": 'ctrllimited="true" ctrlrange="-1 1"'}
     )  # fmt: skip
-    plan, proof = tried(problem)
-    assert not proof.passed
-    found = suggested_fixes(plan, proof)[0]
+    plan = planner.solve(problem, SolverOptions(homotopy=False))  # of the file's duration alone
+    found = suggested_fixes(plan, planner.prove(plan, rollouts=0))[0]
     assert found.value is None
     assert (found.code, found.values["duration"]) == ("force_never_enough", (10.0, "s"))
 
 
-def test_no_time_helps_a_hip_that_cannot_carry_the_machine_on_one_foot(tmp_path):
+@pytest.mark.parametrize("most", [10, pytest.param(150, marks=pytest.mark.slow)])
+def test_no_time_helps_a_hip_that_cannot_carry_the_machine_on_one_foot(tmp_path, most):
     """A standing hip of the biped carries some 30 kg that are 0.09 m beside it: 20 N m or more."""
-    model = (ROOT / "examples" / "tasks" / "biped.xml").read_text()
-    weak = model.replace('joint="left_roll" ctrlrange="-150 150"', 'joint="left_roll" ctrlrange="-10 10"')
-    assert weak != model
-    (tmp_path / "biped.xml").write_text(weak)
+    model, range_ = (ROOT / "examples" / "tasks" / "biped.xml").read_text(), 'joint="left_roll" ctrlrange="{} {}"'
+    assert range_.format(-150, 150) in model
+    (tmp_path / "biped.xml").write_text(model.replace(range_.format(-150, 150), range_.format(-most, most)))
     lift = (ROOT / "benchmarks" / "moving" / "biped-lift.toml").read_text()
-    (tmp_path / "lift.toml").write_text(lift.replace("../../examples/tasks/", ""))
+    (tmp_path / "lift.toml").write_text('guess = "hold"\n' + lift.replace("../../examples/tasks/", ""))
     problem = planner.load_problem(tmp_path / "lift.toml")
     plan = planner.solve(problem, SolverOptions(homotopy=False, max_iterations=2))
-    found = suggested_fixes(replace(plan, status=planner.Status.OUTSIDE_LIMITS))[0]
+    fixes = suggested_fixes(replace(plan, status=planner.Status.OUTSIDE_LIMITS))
+    if most > 10:
+        assert "pose_never_held" not in [one.code for one in fixes]
+        return
+    found = fixes[0]
     assert (found.code, found.value) == ("pose_never_held", None)
     assert 15.0 < abs(found.values["needed"].value) < 60.0
     assert abs(found.values["limit"].value) == 10.0
-    strong = planner.load_problem(ROOT / "benchmarks" / "moving" / "biped-lift.toml")
-    cut = replace(
-        planner.solve(strong, SolverOptions(homotopy=False, max_iterations=2)), status=planner.Status.OUTSIDE_LIMITS
-    )
-    assert "pose_never_held" not in [one.code for one in suggested_fixes(cut)]
 
 
 def test_a_servo_whose_gear_ends_its_range_before_the_goal_is_named(tmp_path):
@@ -272,6 +270,7 @@ def test_numbers_are_rounded_up():
     assert [rounded_up(value) for value in (0.0123, 20.0, 961.0, 0.0)] == [0.02, 20.0, 1000.0, 0.0]
 
 
+@pytest.mark.slow
 def test_a_swing_up_that_hangs_on_its_motor_needs_time_and_no_weight(tmp_path):
     model = POLE.format(slider='limited="true" range="-1 1"').replace(
         'joint="slider"', 'joint="slider" ctrlrange="-4 4"'
@@ -300,6 +299,7 @@ def test_a_motor_that_cannot_lift_straight_may_swing(tmp_path):
     assert first.code == "at_bounds"
 
 
+@pytest.mark.slow
 def test_a_way_that_is_not_free_goes_around(tmp_path):
     post = '<geom name="post" type="box" size="0.05 0.5 0.05" pos="0.45 0 0.45"/>'
     model = {"gravity": 0, "world": post, "collides": ""}
@@ -329,10 +329,11 @@ def test_every_fail_says_something(tmp_path, monkeypatch):
     [
         ("goal = { root = [0.4, 0, 0.326, 1, 0, 0, 0] }", "", ["trot"]),
         ("goal = { root = [0.4, 0, 0.326, 1, 0, 0, 0] }", 'gait = "trot"', []),
-        (
+        pytest.param(
             'goal = [{ frame = "trunk", position = [0, 0, 0.5], share = 0.5, through = true }, { joints = "stand" }]',
             "",
             [],
+            marks=pytest.mark.slow,
         ),
     ],
     ids=["elsewhere", "by a gait", "a jump"],

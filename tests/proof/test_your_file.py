@@ -254,9 +254,15 @@ def test_a_stiff_file_has_its_own_integrator():
     assert run.integrator == "IMPLICIT"
 
 
-def test_velocities_of_a_plan_with_contacts_are_shown_and_no_part_of_its_path():
+@pytest.fixture(scope="module")
+def stepping():
+    """A plan with contacts, and what its file does with it and its gains."""
     plan = planner.solve(planner.load_problem("quadruped"))
-    section, run = your_file(plan, plan.problem, [])["feedback"]
+    return plan, *your_file(plan, plan.problem, [])["feedback"]
+
+
+def test_velocities_of_a_plan_with_contacts_are_shown_and_no_part_of_its_path(stepping):
+    plan, section, run = stepping
     found = {one.name: one for one in section.measured}
     shares = np.abs(plan.space.difference(run.xs, run.plan_xs)).max(axis=0) / path_error_bounds(plan)
     nv = plan.problem.dynamics.mechanism.nv
@@ -266,9 +272,8 @@ def test_velocities_of_a_plan_with_contacts_are_shown_and_no_part_of_its_path():
     assert found["largest_velocity_error"].value > 0.0
 
 
-def test_the_cost_of_a_plan_with_contacts_may_differ_by_what_its_path_may():
-    plan = planner.solve(planner.load_problem("quadruped"))
-    _, run = your_file(plan, plan.problem, [])["feedback"]
+def test_the_cost_of_a_plan_with_contacts_may_differ_by_what_its_path_may(stepping):
+    plan, _, run = stepping
     cost = judged_cost(plan.problem)
     by_errors = 100.0 * cost.change_by_errors(plan, plan.problem) / cost.scale(plan, plan.problem)
     assert by_errors > 100.0 * SMOOTHED  # %

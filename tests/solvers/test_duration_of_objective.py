@@ -21,7 +21,9 @@ def reach(objective):
     return planner.task(mechanism(), START, goal, duration=1.0, **keys)
 
 
-@pytest.mark.parametrize("objective", ["time", BOTH], ids=["time", "effort and time"])
+@pytest.mark.parametrize(
+    "objective", ["time", pytest.param(BOTH, marks=pytest.mark.slow)], ids=["time", "effort and time"]
+)
 def test_solve_chooses_between_the_tasks_own_durations(objective):
     """As solve_for does, which takes the problem's objective and durations where it is told none."""
     problem = reach(objective)

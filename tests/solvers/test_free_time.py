@@ -52,6 +52,7 @@ def test_time_against_effort(weight):
     assert plan.cost == pytest.approx(weight * best + 6.0 / best**3, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_arm_in_least_time():
     """Not later than the extremal with three switches, found by root finding alone, and on a bound in every stage."""
     problem = arm(50, control=10.0)

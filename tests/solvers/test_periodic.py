@@ -356,6 +356,7 @@ def test_a_gait_comes_back(walk):
     assert min(line[0] for line in walk.options["tried"] if line[1] <= 1.0) < 33.0
 
 
+@pytest.mark.slow
 def test_a_gait_is_not_called_converged_while_another_start_is_cheaper():
     """A search without a merit ended at 48.6, as CONVERGED."""
     plan = solve_periodic(cases.human_step(phase="gait"))

@@ -131,6 +131,7 @@ def test_threads_may_ask_at_once():
         assert len(set(pool.map(proven_cost, [plan] * 8))) == 1
 
 
+@pytest.mark.slow
 def test_starts_are_ranked_by_what_they_come_to():
     problem = planner.cases.hopper(height=5.0, horizon=50, integrator="euler")
     cheap = planner.solve(problem, starts=3)

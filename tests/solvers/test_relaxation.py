@@ -136,6 +136,7 @@ def parking(**limits):
     return Problem(car, goal, x0=[0.0, 0.0, 0.0, 0.0], limits=Limits(**limits))
 
 
+@pytest.mark.slow
 def test_the_cheapest_plan_of_other_guesses_is_kept_though_it_lacks_weight():
     plan = planner.solve(parking(control=1.0))
     steps = plan.options["relaxation"]["steps"]

@@ -126,6 +126,7 @@ def test_speeds_that_a_free_plan_exceeds_take_less_than_twice_its_iterations():
         assert plan.nit <= 2 * free.nit  # 39, 26 and 32 beside 20; 48 and 42 where each round had a last line
 
 
+@pytest.mark.slow
 def test_short_steps_far_from_the_end_of_a_round_are_regularized():
     """A hand in free flight, whose full steps promise much and are wrong beyond a thousandth of it.
 

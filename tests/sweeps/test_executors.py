@@ -82,7 +82,7 @@ def large(_):
 
 def test_a_process_that_is_ended_while_it_answers_is_not_waited_for(processes):
     """Python's pool would read the rest of a half-written answer for ever."""
-    for _ in range(5):
+    for _ in range(2):
         futures = [processes.submit(large, k) for k in range(4)]
         while not any(future.running() for future in futures):
             time.sleep(1e-4)
@@ -149,6 +149,7 @@ def test_rollouts_stop_after_their_budget(processes, plan):
     assert "Stopped after" in found.notes[0]
 
 
+@pytest.mark.slow
 def test_plans_are_checked_as_in_one_process(processes, plan, tmp_path):
     proof = json.dumps(planner.prove(plan, rollouts=0).to_dict())
     for name, text in (("a", proof), ("b", "[]")):
