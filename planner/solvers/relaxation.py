@@ -21,9 +21,8 @@ limits by a continuation in the logarithm of the factor by which they are wider.
 
 Where this branch ends above the factor 1, others begin at SWING_FACTOR from controls that swing between their bounds:
 with as many half periods as the slowest oscillation about the start has in the duration, with one less and with one
-more, of either sign; then at the factor 1. If all end, the motion is infeasible as far as found. Then the continuation
-goes on in other durations, each begun from swings, too, as a longer time has room for more of them: so is the duration
-in which the limits hold found (solvers.passing_duration).
+more, of either sign. If all end, the motion is infeasible as far as found. Then the continuation goes on in other
+durations, until the limits hold (solvers.passing_duration).
 """
 
 from __future__ import annotations
@@ -199,7 +198,8 @@ class _Relaxation:
         if lowest is None or meets_goals(direct):
             return direct  # slow, but not infeasible
         self.passing["factor"] = math.exp(lowest[0])
-        find_passing_duration(problem, *lowest, self._in_duration, partial(self.passing.__setitem__, "duration"))
+        report = partial(self.passing.__setitem__, "duration")
+        find_passing_duration(problem, *lowest, self._in_duration, self._from_swings, report)
         return replace(direct, status=Status.INFEASIBLE)
 
     def _by_other_guesses(self, direct: Plan) -> Plan | None:
@@ -325,9 +325,9 @@ class _Relaxation:
     def _branches(self, family: WiderLimits, free: Plan) -> Iterator[tuple[float, Plan]]:
         """The free plan, then those of other numbers of swings that meet the goal in wider limits, and their s."""
         yield max(math.log(max(family.factor, 1.0)), Continuation.min_step), free
-        for factor in sorted({min(SWING_FACTOR, max(family.factor, 1.0)), 1.0}, reverse=True):
-            for plan in self._swings("swing", family.at(factor), factor):
-                yield max(math.log(factor), Continuation.min_step), plan
+        factor = min(SWING_FACTOR, max(family.factor, 1.0))
+        for plan in self._swings("swing", family.at(factor), factor):
+            yield max(math.log(factor), Continuation.min_step), plan
 
     def _swings(self, stage: str, problem: Problem, factor: float) -> Iterator[Plan]:
         """The plans of other numbers of swings that meet the goals, until MAX_REPEATS lead to one that was seen."""
@@ -347,15 +347,16 @@ class _Relaxation:
         direct = self._solve(problem, None, FIRST_ITERATIONS)
         if self._report("duration", 1.0, direct, direct.converged and self.is_kept(direct)):
             return 0.0, direct
-        for swung in self._swings("duration", problem, 1.0):
-            if swung.converged:
-                return 0.0, swung
         family = WiderLimits(problem, 1.0, None, None)
         wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(problem.duration), FIRST_ITERATIONS)
         kept = self.is_kept(wider) and (s > 0.0 or wider.converged)
         if self._report("duration", math.exp(s), wider, kept):
             return self._continuation("duration", family).run(s, wider)
         return s, plan
+
+    def _from_swings(self, problem: Problem) -> Plan | None:
+        """The first plan of a problem from swings that passes."""
+        return next((plan for plan in self._swings("duration", problem, 1.0) if plan.converged), None)
 
     def _continuation(self, stage: str, family: WiderLimits | SofterContacts | DistantContacts) -> Continuation:
         return Continuation(

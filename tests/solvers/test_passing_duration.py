@@ -1,4 +1,4 @@
-"""The duration in which limits hold is found from swings of its own, and bracketed by one that fails."""
+"""The duration in which limits hold is found, from swings of its own if need be, and bracketed by one that fails."""
 
 from types import SimpleNamespace
 
@@ -8,7 +8,7 @@ from test_relaxation import DT, swing_up
 
 import planner
 from planner import Status
-from planner.solvers.passing_duration import LENGTHENINGS, PRECISION, find_passing_duration
+from planner.solvers.passing_duration import LENGTHENINGS, PRECISION, SWING_LENGTHENINGS, find_passing_duration
 from planner.solvers.work import work_of_stage
 
 
@@ -31,22 +31,27 @@ def test_a_longer_time_has_room_for_more_swings():
 
 @pytest.mark.parametrize("limit", [2.07, 2.5, 3.6, 9.0])
 def test_the_duration_found_is_within_the_precision_of_one_that_fails(limit):
-    """Every duration below `limit` fails, every other one passes."""
+    """Every duration below `limit` fails, every other one passes; from 4.3 s on swings find it."""
     tried, found = list[float](), list[float]()
 
     def in_duration(problem, s, plan):
         tried.append(problem.duration)
         return (0.0, SimpleNamespace(problem=problem)) if problem.duration >= limit else (s, plan)
 
-    find_passing_duration(swing_up(2.0, 5.0), 0.5, SimpleNamespace(), in_duration, found.append)
+    def from_swings(problem):
+        return in_duration(problem, 0.5, None)[1]
+
+    find_passing_duration(swing_up(2.0, 5.0), 0.5, SimpleNamespace(), in_duration, from_swings, found.append)
     assert found == sorted(found, reverse=True)
     assert limit <= found[-1] < PRECISION * limit + 0.1
-    assert len(tried) <= len(LENGTHENINGS) + 5
+    assert len(tried) <= len(LENGTHENINGS) + len(SWING_LENGTHENINGS) + 5
 
 
 def test_no_duration_is_named_where_none_passes():
     found = list[float]()
-    find_passing_duration(swing_up(2.0, 5.0), 0.5, None, lambda _, s, plan: (s, plan), found.append)
+    find_passing_duration(
+        swing_up(2.0, 5.0), 0.5, None, lambda _, s, plan: (s, plan), lambda _: None, found.append
+    )  # fmt: skip
     assert not found
 
 
