@@ -113,9 +113,9 @@ from planner.model.twin import Twin
 from planner.problem.constraints.clearance import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
+from planner.problem.description import angles_in_degrees, ranges_in_degrees
 from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.limits import Limits
-from planner.problem.model_lint import angles_in_degrees, ranges_in_degrees
 from planner.problem.objective import with_objective
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import MAX_STAGES, PROBLEM_FILE, Recipe, durations_or_default

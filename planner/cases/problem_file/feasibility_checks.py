@@ -21,7 +21,7 @@ from planner.problem.constraints.clearance import model_index_of, pair_clearance
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import MIN_TOLERANCES, ROUNDING, SHARE, goals_of
 from planner.problem.problem import Problem
-from planner.problem.tasks.momentum import undamped_floating_dofs
+from planner.problem.tasks.pose_constraints import undamped_floating_dofs
 from planner.problem.thrust import missing_thrust
 
 DEEP = 3.0  # times as deep as under the machine's weight: what grasps or leans is less deep in what it touches

@@ -18,7 +18,7 @@ from planner.base.errors import PlannerError
 from planner.cases.problem_file.tasks import steps_of
 from planner.dynamics import RigidBodyDynamics
 from planner.model.coordinates import coordinates_of_mechanism
-from planner.model.state_map import StateMap
+from planner.model.space import StateMap
 from planner.problem.costs.terms import Cost
 from planner.problem.costs.tracking import TrackingCost
 from planner.problem.goals import MIN_TOLERANCES

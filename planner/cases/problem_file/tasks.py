@@ -39,8 +39,7 @@ from planner.problem.reaching_cost import along_gait
 from planner.problem.stances import Stance
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
 from planner.problem.tasks.flight import BENT, check_flight, phases_of_jumps
-from planner.problem.tasks.foot_names import with_feet_of
-from planner.problem.tasks.gait import Gait, gait_of
+from planner.problem.tasks.gait import Gait, gait_of, with_feet_of
 from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, recorded_duration, with_points
 from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of, stored_poses
