@@ -37,7 +37,7 @@ from planner.proof.prove_plan import prove as prove
 from planner.proof.repair.refinement import refine as refine
 from planner.proof.replays.replaying import Replay as Replay
 from planner.proof.replays.replaying import replay as replay
-from planner.proof.robustness.pushes import Push as Push
+from planner.proof.robustness.perturbation import Push as Push
 from planner.proof.verdict import Proof as Proof
 from planner.solvers.free_time import solve_for as solve_for
 from planner.solvers.options import SolverOptions as SolverOptions

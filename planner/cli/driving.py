@@ -24,7 +24,7 @@ from planner.problem.goals import goals_of
 from planner.problem.problem import Problem
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import Replay
-from planner.proof.robustness.pushes import Push, pushed_step
+from planner.proof.robustness.perturbation import Push, pushed_step
 from planner.view.plots.case_pictures import draw_loop
 from planner.view.plots.style import save
 from planner.view.report.page import write_loop_page

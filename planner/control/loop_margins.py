@@ -25,7 +25,7 @@ from planner.control.simulating import LATE, STAYS, simulate
 from planner.problem.plan import Plan
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.robustness.monte_carlo import LEVELS, largest_survived
-from planner.proof.robustness.pushes import Push
+from planner.proof.robustness.perturbation import Push
 
 PUSHES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)  # N
 LATENCIES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # s

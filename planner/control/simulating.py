@@ -31,8 +31,7 @@ from planner.proof.replays.replaying import PARTS, REFINEMENT, SUBSTEP_REFINEMEN
 from planner.proof.replays.sampled_gains import Encoders, sampling_in
 from planner.proof.replays.simulation import MAX_STEPS, damping_of, implicit_step
 from planner.proof.replays.simulation import simulate as run_model
-from planner.proof.robustness.perturbation import Mass, with_stated_errors
-from planner.proof.robustness.pushes import Push, pushed_step
+from planner.proof.robustness.perturbation import Mass, Push, pushed_step, with_stated_errors
 
 Goal = Callable[[float], Any]
 LATE, STAYS = 1.0, 1.0  # s after the task: allowed delay of arrival, and duration of the check that it stays

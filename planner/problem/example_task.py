@@ -12,7 +12,7 @@ from planner.dynamics.algorithms import bias, bias_derivatives, mass_matrix
 from planner.model.mechanism import SCREW, Mechanism
 from planner.model.mjcf.facts import Record, free_bases, overlaps
 from planner.model.mjcf.model_index import compile_model
-from planner.problem.model_lint import holding, within
+from planner.problem.description import holding, within
 
 _WAY = 0.15  # displacement of a joint, as a share of its range
 _WAY_ON_FEET = 0.05  # the same for a machine with a free base, which may tip over

@@ -14,8 +14,7 @@ import numpy as np
 
 from planner.base.arguments import choice, count, number, short_repr
 from planner.base.errors import PlannerError
-from planner.model.space import StateSpace
-from planner.model.state_map import StateMap
+from planner.model.space import StateMap, StateSpace
 from planner.problem.costs.terms import Cost
 
 PROBLEM_FILE = "problem-file"  # the name of a problem.toml's recipe, whatever its machine

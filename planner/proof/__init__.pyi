@@ -1,6 +1,6 @@
 from planner.proof.compare.model_parity import parity as parity
-from planner.proof.feedback_rate import slowest_rate as slowest_rate
 from planner.proof.goal_regulator import hold_gain as hold_gain
+from planner.proof.goal_regulator import slowest_rate as slowest_rate
 from planner.proof.prove_plan import prove as prove
 from planner.proof.repair.refinement import Refined as Refined
 from planner.proof.repair.refinement import Refinement as Refinement

@@ -60,8 +60,7 @@ from planner.proof.error_scales import (
 from planner.proof.reached_limits import clamps_hit, largest_excess, stops_hit
 from planner.proof.replay_errors import misses
 from planner.proof.replays.compiled_twin import CompiledTwin, unmodelled_of, with_model
-from planner.proof.replays.passages import passages
-from planner.proof.replays.replaying import Replay, replay_in
+from planner.proof.replays.replaying import Replay, passages, replay_in
 from planner.proof.replays.sampled_gains import sampling_of
 from planner.proof.replays.simulation import NATIVE_IMPLICIT, ROSENBROCK, damping_of
 from planner.proof.robustness.rollouts import MODES

@@ -31,8 +31,14 @@ from planner.proof.consistency import NOT_FINITE, consistency, optimality, recom
 from planner.proof.contact_sensitivity import contact_sensitivity
 from planner.proof.error_propagation import propagate_errors
 from planner.proof.error_scales import worst_by_unit
-from planner.proof.feedback_rate import controller_section, slowest_rate
-from planner.proof.goal_regulator import RegulatedRun, hold_gain, hold_section, simulate_regulator
+from planner.proof.goal_regulator import (
+    RegulatedRun,
+    controller_section,
+    hold_gain,
+    hold_section,
+    simulate_regulator,
+    slowest_rate,
+)
 from planner.proof.original_model import PATH_IN_FILE, your_file
 from planner.proof.original_model import TITLE as FILE
 from planner.proof.own_step import own_step

@@ -25,15 +25,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from planner.base.gl import load_mujoco
 from planner.base.late_imports import Renderable
 from planner.base.measured import Measurement, Section, aligned, dicts_of, rows_of
 from planner.problem.objective import seeks_duration
 from planner.problem.progress import Status
+from planner.problem.rediscretize import step_error
 from planner.proof.consistency import STEP_ERROR
-from planner.proof.error_propagation import ErrorPropagation
+from planner.proof.error_propagation import FACTOR, SMALL, ErrorPropagation
+from planner.proof.error_scales import SMOOTHED, has_contacts, is_path_judged, worst_by_unit
 from planner.proof.goal_regulator import RegulatedRun
 from planner.proof.own_step import NAME as OWN_STEP
 from planner.proof.replays.replaying import Replay
@@ -229,3 +231,24 @@ class Proof(Renderable):
             "own_step": self.own_step, "reason": self.reason,
         }  # fmt: skip
         return {**head, **dicts_of(self.sections), "asked": self.asked, "monte_carlo": found, "simulator": simulator}
+
+
+FALLEN = 100.0  # bounds: a machine that has fallen open loop says nothing of its gains
+
+
+class ContactError(NamedTuple):
+    """The largest error of the path with gains, and what the step makes of it, both in bounds of the path."""
+
+    off: float
+    by_step: float
+
+
+def contact_error(proof: Proof) -> ContactError | None:
+    """How far contacts put a replay off, where no finer step helps; None without them, or if small or the step's."""
+    run = proof.replays["feedback"]
+    if not has_contacts(run.plan):
+        return None
+    off = max(one.share for one in worst_by_unit(run.plan, run.error) if is_path_judged(run.plan, one.unit))
+    by_step = step_error(run.plan) / SMOOTHED
+    small = not (SMALL < off < FALLEN and off > FACTOR * by_step)  # another plan may bring it within its bound
+    return None if small else ContactError(off, by_step)

@@ -11,7 +11,7 @@ from planner.dynamics.kinematics import center_of_mass
 from planner.model.capabilities import ballistic_dofs, floating_dofs
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import goals_of
-from planner.problem.tasks.momentum import kept_center_of_mass
+from planner.problem.tasks.pose_constraints import kept_center_of_mass
 
 CAT = """<mujoco model="cat"><option gravity="0 0 {gravity}"/><worldbody>
   <body name="chest" pos="0 0 3"><freejoint name="root"/>

@@ -10,8 +10,7 @@ from test_walking_gaits import straight as straight  # a fixture
 
 import planner
 from planner.problem.costs.tracking import tracking_of
-from planner.problem.tasks.foot_names import with_feet_of
-from planner.problem.tasks.gait import STRIDE, TURNS, Gait, _holds, gait_of
+from planner.problem.tasks.gait import STRIDE, TURNS, Gait, _holds, gait_of, with_feet_of
 from planner.problem.tasks.legs import height_of, standing_feet
 
 

@@ -8,8 +8,7 @@ import pytest
 
 from planner import cases
 from planner.base.errors import FileError
-from planner.cases.human_step.gait import ANGLES, NORMAL_GAIT
-from planner.cases.human_step.gait_file import ALSO, read_gait
+from planner.cases.human_step.gait import ALSO, ANGLES, NORMAL_GAIT, read_gait
 
 PERCENT = np.arange(0.0, 101.0, 2.0)
 

@@ -6,7 +6,7 @@ import pytest
 import planner
 from planner.cases.plan_file import load_plan
 from planner.cases.problem_file import load
-from planner.cases.problem_file.ground_placement import STANCE_RAMP
+from planner.cases.problem_file.states import STANCE_RAMP
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import center_of_mass
 from planner.dynamics.statics import clearance

@@ -13,15 +13,14 @@ import planner
 from planner.cases.problem_file import load
 from planner.cli.running import FLAGS, _identity
 from planner.dynamics.quasi_static import quasi_static_controls
-from planner.model.space import exp_quaternion, product
-from planner.model.state_map import StateMap
+from planner.model.space import StateMap, exp_quaternion, product
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.progress import Status
 from planner.problem.tasks.cycle import Cycle, cycle_motion, cycle_of
 from planner.problem.tasks.gait import Gait, gait_of
 from planner.problem.tasks.mirror import UNLIKE, asymmetry, mirror_of
 from planner.proof.diagnostics import suggested_fixes
-from planner.proof.diagnostics.stage import cycle_not_found, failing_cycle
+from planner.proof.diagnostics.solving import cycle_not_found, failing_cycle
 from planner.solvers.phase_times import PhaseTimes
 
 SCENE = ROOT / "mjcf" / "quadruped" / "scene.xml"

@@ -15,8 +15,8 @@ from planner.base.arguments import did_you_mean
 from planner.base.data_files import LONGEST, read_table
 from planner.base.errors import FileError, PlannerError
 from planner.base.gl import load_mujoco
-from planner.cases.human_step.gait_file import LARGEST as MAX_OF_GAIT
-from planner.cases.human_step.gait_file import read_gait
+from planner.cases.human_step.gait import LARGEST as MAX_OF_GAIT
+from planner.cases.human_step.gait import read_gait
 from planner.cli import case_flags, parser
 from planner.cli.commands import INTERNAL, TRACEBACK
 from planner.cli.console import Console

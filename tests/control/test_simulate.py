@@ -16,7 +16,7 @@ from planner.cli.driving import _advice, latency_of
 from planner.control.judging import CallTimes, judge, passes_disturbed
 from planner.control.loop_margins import fitting_rate, margins
 from planner.model.mjcf.model_index import compile_model
-from planner.proof.robustness.pushes import Push, pushed_step
+from planner.proof.robustness.perturbation import Push, pushed_step
 
 N = 40  # of conftest.py
 

@@ -14,7 +14,7 @@ from trees import CHAINS, actuated, damped, driven, machines
 
 from planner import Mechanism, RigidBodyDynamics
 from planner.base.errors import PlannerError
-from planner.cases.problem_file.step import with_step
+from planner.cases.problem_file.machine import with_step
 from planner.dynamics.step_stability import fastest_mode
 from planner.proof.same_step import floats_alone
 

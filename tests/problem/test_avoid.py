@@ -10,7 +10,7 @@ from places import ROOT
 import planner
 from planner.base.errors import PlannerError
 from planner.cases.problem_file import load
-from planner.cases.problem_file.resolved_defaults import resolved_defaults
+from planner.cases.problem_file.tasks import resolved_defaults
 from planner.problem.collision_free_path import CollisionChecker, rrt_connect
 from planner.problem.constraints.clearance import Avoid, PairClearance, pair_clearance_of
 from planner.problem.problem import Problem

@@ -11,9 +11,8 @@ from planner.cases.problem_file import load_problem
 from planner.cases.problem_file.starter_file import starter_text
 from planner.dynamics.algorithms import bias
 from planner.model.mjcf.model_file import open_model_file
-from planner.problem.description import HOME, describe
+from planner.problem.description import HOME, describe, holding
 from planner.problem.example_task import example_task
-from planner.problem.model_lint import holding
 
 ARM = """<mujoco model="arm"><compiler angle="radian"/>{head}<worldbody>{world}
   <body name="upper" pos="0 0 1"><joint name="shoulder" axis="0 1 0" range="-2 2" limited="true" damping=".2"/>

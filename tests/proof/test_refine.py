@@ -14,7 +14,7 @@ from planner.base.measured import Measurement, Section
 from planner.cases.problem_file import load
 from planner.problem.plan import Status
 from planner.problem.rediscretize import step_error
-from planner.proof.diagnostics.stage import contacts_differ, shorter_stage
+from planner.proof.diagnostics.solving import contacts_differ, shorter_stage
 from planner.proof.error_scales import SMOOTHED, ranges_of_motion
 from planner.proof.original_model import OVERLAPS_THAT_PUSH
 from planner.proof.repair import refinement

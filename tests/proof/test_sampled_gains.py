@@ -12,7 +12,7 @@ from swings import mechanism, swing
 import planner
 from planner.base.errors import PlannerError
 from planner.model.mjcf.model_index import compile_model
-from planner.proof.feedback_rate import slowest_rate
+from planner.proof.goal_regulator import slowest_rate
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay
 from planner.proof.replays.sampled_gains import HINGE, SLIDE, Encoders, Sampling, sampling_in, sampling_of

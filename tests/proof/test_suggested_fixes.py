@@ -11,8 +11,7 @@ from problem_files import ARM, POLE, USUAL, arm, cured, file, tried, without_lim
 import planner
 from planner import SolverOptions
 from planner.proof.diagnostics import SuggestedFix, longer, suggested_fixes
-from planner.proof.diagnostics.solving import not_a_minimum
-from planner.proof.diagnostics.stage import clamped_between, rounded_step
+from planner.proof.diagnostics.solving import clamped_between, not_a_minimum, rounded_step
 from planner.proof.diagnostics.suggested_fix import rounded_up
 
 

@@ -16,8 +16,8 @@ from planner.problem.archive import FORMAT_VERSION
 from planner.problem.plan import Status
 from planner.problem.touch_downs import BEARS, StageRule, TouchDown, reference, standing, touch_downs_of
 from planner.proof.replays.compiled_twin import CompiledTwin
-from planner.proof.replays.foot_loads import FootLoads
 from planner.proof.replays.replaying import replay_in
+from planner.proof.replays.sampled_gains import FootLoads
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed, replay_rollout
 from planner.proof.robustness.rollouts import CLOCK, MODES, Rollouts

@@ -10,8 +10,7 @@ import planner
 from planner import cases
 from planner.cli.parser import build, parse
 from planner.cli.solving import asked_problem
-from planner.model.space import StateSpace, euclidean
-from planner.model.state_map import StateMap
+from planner.model.space import StateMap, StateSpace, euclidean
 from planner.problem.problem_parts import Periodic, Recipe
 from planner.solvers.periodic import PeriodicPass, solve_periodic
 from planner.solvers.periodic_boundary import BoundaryStates, response, with_ends

@@ -42,8 +42,7 @@ import numpy as np
 from planner.base.arguments import array, choice, count, number
 from planner.base.errors import PlannerError
 from planner.cases.human_step.cost import StepTolerances, step_cost, step_tolerances
-from planner.cases.human_step.gait import NORMAL_GAIT, Gait
-from planner.cases.human_step.gait_file import read_gait
+from planner.cases.human_step.gait import NORMAL_GAIT, Gait, read_gait
 from planner.cases.human_step.measures import PATIENT, closing, follows, judge_step, judge_tracking, robot_wrench
 from planner.cases.human_step.pictures import step_pictures
 from planner.cases.human_step.walker import FILE_MASS, PELVIS, SIDES, SWING, GaitPhase, Walker

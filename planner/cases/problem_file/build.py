@@ -23,24 +23,19 @@
     along = "z"
     lower = 0.5                         # m
 
+    [avoid]                             # optional: what is kept apart, see planner.problem.constraints.clearance
+    self = true                         # the machine from itself
+    world = true                        # and from what is at rest
+    clearance = 0.02                    # m
+
 In place of one goal of the joints there may be goals of frames, at times, and paths (docs/tasks.md):
 
     [[goal]]
     frame = "hook"                      # a site or body
     position = [2.0, 0.0, 0.8]
 
+In place of the model the file may name a case of the package, with its parameters: case = "human-step", mass = 100.0.
 A plan keeps the table with its defaults filled in and the model's text, so it is rebuilt without either file.
-
-    [avoid]                             # optional: what is kept apart, see planner.problem.constraints.clearance
-    self = true                         # the machine from itself
-    world = true                        # and from what is at rest
-    clearance = 0.02                    # m
-
-In place of a machine of one's own the file may name a case of the package, with its parameters:
-
-    case = "human-step"
-    mass = 100.0
-    cadence = 80.0
 """
 
 from __future__ import annotations
@@ -58,8 +53,27 @@ from planner.base.arguments import choice, number, short_repr
 from planner.base.data_files import check_file, check_values, problem_files, read_table
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.constraints import constraints_of
-from planner.cases.problem_file.cycles import (
+from planner.cases.problem_file.feasibility_checks import (
+    check_goal,
+    check_goal_controllable,
+    deep_in_each_other,
+)
+from planner.cases.problem_file.keys import (
+    DEFAULTS,
+    KEYS,
+    RESOLVED,
+    TABLES,
+    VALUES,
+    checked_values,
+    tables_of_joints,
+    with_defaults,
+    with_model_limits,
+)
+from planner.cases.problem_file.machine import folders_of, lands, machine_of, prescribed_of, with_step
+from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
+from planner.cases.problem_file.solving import (
     GAIN_OF_CYCLE,
+    ProblemFile,
     cycle_cost,
     cycle_in,
     ends_in,
@@ -67,24 +81,14 @@ from planner.cases.problem_file.cycles import (
     periodic_of,
     without_cycles,
 )
-from planner.cases.problem_file.feasibility_checks import (
-    check_goal_controllable,
-    check_goal_differs,
-    check_goal_in_time,
-    check_momentum,
-    deep_at_start,
-    overlap_at_goal,
+from planner.cases.problem_file.states import (
+    place_on_ground,
+    placed,
+    stance_ramp,
+    state_of,
+    states_of,
+    with_ramp,
 )
-from planner.cases.problem_file.ground_placement import place_on_ground, stance_ramp, with_ramp
-from planner.cases.problem_file.keys import DEFAULTS, KEYS, RESOLVED, TABLES, VALUES
-from planner.cases.problem_file.machine import folders_of, lands, machine_of, prescribed_of
-from planner.cases.problem_file.reference_guess import ReferenceTrajectory, first_guess
-from planner.cases.problem_file.resolved_defaults import with_resolved
-from planner.cases.problem_file.solving import ProblemFile
-from planner.cases.problem_file.states import state_of, states_of
-from planner.cases.problem_file.step import with_step
-from planner.cases.problem_file.stops import at_rest_on_stops, off_stops
-from planner.cases.problem_file.table import checked_values, tables_of_joints, with_defaults, with_model_limits
 from planner.cases.problem_file.tasks import (
     check_task_departure,
     cost_of,
@@ -96,6 +100,7 @@ from planner.cases.problem_file.tasks import (
     with_files,
     with_jumps,
     with_recorded_duration,
+    with_resolved,
     with_tasks,
 )
 from planner.dynamics import RigidBodyDynamics
@@ -108,9 +113,9 @@ from planner.model.twin import Twin
 from planner.problem.constraints.clearance import Avoid
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.default_appearance import default_appearance, with_marks
+from planner.problem.description import angles_in_degrees, ranges_in_degrees
 from planner.problem.example_task import conflict_as_drawn, start_of_model
 from planner.problem.limits import Limits
-from planner.problem.model_lint import angles_in_degrees, ranges_in_degrees
 from planner.problem.objective import with_objective
 from planner.problem.problem import Problem
 from planner.problem.problem_parts import MAX_STAGES, PROBLEM_FILE, Recipe, durations_or_default
@@ -175,7 +180,7 @@ def loaded(table: dict[str, Any], path: str | Path, **instead: Any) -> ProblemFi
             f"periodic has {cycles} cycles of {problem.N} stages, expected at most {MAX_STAGES} stages together."
         )
     given, reasons = problem.parameters, problem.parameters[RESOLVED]["reasons"]
-    notes = (*(reasons[key] for key in TOLD if key in reasons), *deep_at_start(problem), *overlap_at_goal(problem))
+    notes = (*(reasons[key] for key in TOLD if key in reasons), *deep_in_each_other(problem))
     return ProblemFile(
         problem, given["starts"], given["seed"], given.get("objective"), given.get("durations"), notes,
         given.get("work"), cycles, free,
@@ -292,9 +297,7 @@ def _built(
     goal = at_rest if tasked else state_of("goal", table["goal"], mechanism, at_rest, closed)
     if table["contacts"] == "auto" and mechanism.contacts_mode:
         table = table | {"contacts": mechanism.contacts_mode}  # a stored model has but one mode left
-    x0, goal, notes = place_on_ground(mechanism, table, x0, goal)
-    x0, goal, stops = off_stops(mechanism, table, x0, goal)
-    x0, goal, notes = at_rest_on_stops(mechanism, table, x0, goal, notes)
+    x0, goal, notes, stops = placed(mechanism, table, x0, goal)
     build = partial(again, mechanism, *constraints)
     gait = steps_of(table, mechanism)
     ramp = None if tasked or gait else stance_ramp(mechanism, table, x0, goal)
@@ -384,12 +387,9 @@ def _built(
         check_task_departure(x0, wanted, way.task)
         check_goal_controllable(problem, way.rows)
     elif cyclic is None:  # of a cycle the solver finds both ends
-        check_goal_differs(problem)
-        check_goal_controllable(problem, goal[None])
-        check_momentum(problem, goal)
-        if not rebuilt:  # a search over durations goes below those that suffice
-            between = durations_or_default(table.get("durations"), table.get("objective", {}), table["duration"])
-            check_goal_in_time(problem, (table["duration"], *(between or ())))
+        between = durations_or_default(table.get("durations"), table.get("objective", {}), table["duration"])
+        durations = () if rebuilt else (table["duration"], *(between or ()))  # a search goes below those that suffice
+        check_goal(problem, goal, durations)
     return with_objective(problem, table["objective"]) if "objective" in table else problem
 
 

@@ -21,11 +21,20 @@ from planner.problem.constraints.clearance import model_index_of, pair_clearance
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import MIN_TOLERANCES, ROUNDING, SHARE, goals_of
 from planner.problem.problem import Problem
-from planner.problem.tasks.momentum import undamped_floating_dofs
+from planner.problem.tasks.pose_constraints import undamped_floating_dofs
 from planner.problem.thrust import missing_thrust
 
 DEEP = 3.0  # times as deep as under the machine's weight: what grasps or leans is less deep in what it touches
 MIN_JERK_PEAK = 1.875  # velocity of a minimum-jerk motion, over its mean
+
+
+def check_goal(problem: Problem, goal: np.ndarray, durations: Sequence[float]) -> None:
+    """Refuse a goal (nx,) where the machine is already, or where no control brings it in these durations, s, if any."""
+    check_goal_differs(problem)
+    check_goal_controllable(problem, goal[None])
+    check_momentum(problem, goal)
+    if durations:
+        check_goal_in_time(problem, durations)
 
 
 def check_goal_differs(problem: Problem) -> None:
@@ -99,6 +108,11 @@ def check_goal_controllable(problem: Problem, rows: np.ndarray) -> None:
                 "0.003, friction = 0.8 }: then spheres and capsules of both may touch. Else expected a goal where it "
                 "gets by itself, ground under it, or a model without that joint."
             )
+
+
+def deep_in_each_other(problem: Problem) -> tuple[str, ...]:
+    """Sentences about what is deep in each other at the start, and at the goal."""
+    return (*deep_at_start(problem), *overlap_at_goal(problem))
 
 
 def deep_at_start(problem: Problem) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
 from planner.cases.problem_file.build import again
-from planner.cases.problem_file.table import with_model_limits
+from planner.cases.problem_file.keys import with_model_limits
 from planner.model.mechanism import Mechanism
 from planner.problem.constraints.clearance import Avoid
 from planner.problem.constraints.constraint import Constraint

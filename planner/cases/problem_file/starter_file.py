@@ -15,7 +15,7 @@ from planner.base.errors import FileError, PlannerError
 from planner.base.files import PathLike, write_atomically
 from planner.cases.problem_file.build import loaded
 from planner.cases.problem_file.keys import KEYS
-from planner.cases.problem_file.step import AUTO
+from planner.cases.problem_file.machine import AUTO
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.model_file import ModelFile
 from planner.problem.description import Description

@@ -1,8 +1,11 @@
-"""Goals and paths of a problem file: [[goal]] and [follow] as a Task, its cost, its first guess, what is judged."""
+"""Goals and paths of a problem file: [[goal]] and [follow] as a Task, its cost, its first guess, what is judged.
+
+And what the file left to be chosen: for each, the values and the reason.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,9 +15,9 @@ import numpy as np
 
 from planner.base.arguments import short_repr
 from planner.base.errors import PlannerError
-from planner.cases.problem_file.ground_placement import whole_poses_on_ground
-from planner.cases.problem_file.keys import GOAL, RESOLVED
+from planner.cases.problem_file.keys import GOAL, RAMP, RESOLVED
 from planner.cases.problem_file.reference_guess import ReferenceTrajectory
+from planner.cases.problem_file.states import carried_along, whole_poses_on_ground
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.statics import feet_move, rolling_dofs, stands_somewhere
 from planner.model.mechanism import Mechanism
@@ -36,8 +39,7 @@ from planner.problem.reaching_cost import along_gait
 from planner.problem.stances import Stance
 from planner.problem.tasks.cost import WEIGHT, task_cost, task_goal_specs
 from planner.problem.tasks.flight import BENT, check_flight, phases_of_jumps
-from planner.problem.tasks.foot_names import with_feet_of
-from planner.problem.tasks.gait import Gait, gait_of
+from planner.problem.tasks.gait import Gait, gait_of, with_feet_of
 from planner.problem.tasks.goal import Follow, Goal, follow_of, goal_of, recorded_duration, with_points
 from planner.problem.tasks.pose_constraints import PoseConstraints
 from planner.problem.tasks.poses import Poses, is_screws, poses_of, stored_poses
@@ -50,7 +52,7 @@ from planner.problem.tasks.reference_motion import (
     with_via_poses,
 )
 from planner.problem.tasks.timed_task import Task, task_of
-from planner.solvers.waypoints import dated_by_way, dated_evenly, undated_waypoints
+from planner.solvers.waypoints import WAYPOINTS, dated_by_way, dated_evenly, undated_waypoints
 
 MAX_GOALS = 1000  # goals
 _OF_GOALS = ("final_position", "hold")  # weights of an end in joints, which a task's goals take the place of
@@ -333,3 +335,49 @@ def check_task_departure(x0: np.ndarray, wanted: tuple[GoalSpec, ...], task: Tas
             f"{ways[worst.name]:.3g} {worst.unit} away, and {worst.tolerance:g} pass), expected a smaller tolerance, "
             "or another goal: a plan that does nothing would pass."
         )
+
+
+def with_resolved(
+    table: dict[str, Any], dynamics: RigidBodyDynamics, x0: np.ndarray, goal: np.ndarray, reasons: dict[str, str],
+    way: ResolvedTask | None, limits: Limits | None, paths: np.ndarray | None, ramp: float | None,
+) -> dict[str, Any]:  # fmt: skip
+    """The table with what was chosen by itself: weights and their reasons. A stored plan has them already.
+
+    `paths`: (nv,) rad or m, the way of each degree of freedom where feet step and no task says more; else None.
+    """
+    if RESOLVED in table:
+        return table
+    given = table["weights"]
+    if way is not None:
+        default = weights_of(table, dynamics, x0, way, limits)
+    else:
+        default = default_weights(
+            dynamics, x0, goal, table["duration"], tolerance=table["tolerance"], named="objective" in table,
+            stays="position" not in given, jerk=table.get("objective", {}).get("jerk", 0.0),
+            displacement=paths, carried_along=carried_along(table["goal"], dynamics),
+        )  # fmt: skip
+        default = default if paths is None else walking_weights(default)
+    filled = {name: weight.tolist() for name, weight in default.weights.items() if name not in given}
+    reasons = reasons | {name: reason for name, reason in default.reasons.items() if name not in given}
+    waypoints = {} if way is None or not way.waypoints else {WAYPOINTS: list(way.waypoints)}
+    ramps = {} if ramp is None else {RAMP: ramp}
+    return table | {RESOLVED: {"weights": {**filled, **given}, "reasons": reasons, **waypoints, **ramps}}
+
+
+def resolved_defaults(parameters: Mapping[str, Any]) -> dict[str, str]:
+    """A sentence for each thing that was chosen by itself, by its key; none for plans without a problem file."""
+    resolved = parameters.get(RESOLVED, {})
+    weights, reasons = resolved.get("weights", {}), resolved.get("reasons", {})
+    return {
+        f"weights.{name}" if name in weights else name: f"{_values(weights.get(name))}{reason}"
+        for name, reason in reasons.items()
+    }
+
+
+def _values(weight: Any) -> str:
+    """The range of the numbers of a weight, and ": "."""
+    numbers = np.atleast_1d(np.asarray(weight, dtype=float)) if isinstance(weight, (list, float, int)) else np.empty(0)
+    if not numbers.size or not np.any(numbers):
+        return ""
+    low, high = numbers.min(), numbers.max()
+    return f"{low:.3g}: " if low == high else f"{low:.3g} to {high:.3g}: "

@@ -24,8 +24,8 @@ friction cone raises the normal force to
 
     f_n = (K e - B v_n + mu c_t |v_t| / impratio) / (1 + mu^2 / impratio).
 
-A law with a `lead` is the force of MuJoCo's usual constraints, of any file (model.mjcf.file_law, model.mjcf.stops).
-There the damper feels the velocity that the contact or the joint will have `lead` seconds later, x = v + lead J qacc,
+A law with a `lead` is the force of MuJoCo's usual constraints, of any file (model.mjcf.file_law and contact_edits):
+there the damper feels the velocity that the contact or the joint will have `lead` seconds later, x = v + lead J qacc,
 relative to the surface and without the Jacobian's own change, so the force depends on the acceleration. With x_n = n'x,
 x_t the rest, depth = ramp(e; a) and s = s(e; a/2), a pyramidal cone has the sum over four edges d = n +- mu t1, n +- mu
 t2 of

@@ -22,7 +22,7 @@ from planner.base.gl import load_mujoco
 from planner.model.capabilities import rolling_radii
 from planner.model.contact.laws import ContactLaw
 from planner.model.mechanism import BALL, BALL_NEXT, SCREW, Frame, Mechanism
-from planner.model.mjcf.contact_edits import give_law, let_float
+from planner.model.mjcf.contact_edits import give_law, keep_time_constants, let_float, read_stops
 from planner.model.mjcf.contact_mode import (
     MODES,
     STANDING,
@@ -54,7 +54,6 @@ from planner.model.mjcf.model_index import (
     velocity_limits,
 )
 from planner.model.mjcf.obstacles import edits_of
-from planner.model.mjcf.stops import keep_time_constants, read_stops
 from planner.model.mjcf.text import written
 from planner.model.mjcf.unsupported import (  # fmt: skip
     KINDS,

@@ -22,8 +22,7 @@ from planner.base.errors import PlannerError
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.kinematics import LinkPlaces
 from planner.model.mechanism import Mechanism
-from planner.model.space import StateSpace, exp_quaternion, product
-from planner.model.state_map import StateMap
+from planner.model.space import StateMap, StateSpace, exp_quaternion, product
 from planner.problem.costs.residual_functions import rotation_of
 from planner.problem.stances import Stance, stances_of_swings
 from planner.problem.tasks.flight import check_flight_time

@@ -19,8 +19,7 @@ from planner.dynamics.joint_forces import actuator_moments
 from planner.dynamics.kinematics import LinkPlaces
 from planner.model.actuators import Actuators
 from planner.model.mechanism import BALL, Mechanism
-from planner.model.space import conjugate, cross, exp_quaternion, product
-from planner.model.state_map import StateMap
+from planner.model.space import StateMap, conjugate, cross, exp_quaternion, product
 from planner.problem.tasks.legs import shifted
 
 MATCH = 5e-3  # m per rad, and rad: by which the screws of two sides may differ, as files are written

@@ -1,4 +1,4 @@
-"""What poses of a task satisfy, as residuals of inverse kinematics: constraints of the problem, and feet on the ground.
+"""What poses of a task satisfy, as residuals of inverse kinematics: constraints, feet on the ground, momentum.
 
 Constraints are on positions, angles and distances, at a stage, at rest. A goal is part of the cost, so a goal that
 contradicts a constraint would be missed without a message.
@@ -11,16 +11,21 @@ is above their middle (quasi-static balance).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from planner.dynamics import RigidBodyDynamics
 from planner.dynamics.contacts import contact_forces
-from planner.dynamics.kinematics import LinkPlaces, center_of_mass, center_of_mass_jacobian, frame_pose
-from planner.model.capabilities import stands_on_ground
+from planner.dynamics.inverse_kinematics import POSTURE_WEIGHT, Target, integrate_base, residuals
+from planner.dynamics.kinematics import LinkPlaces, center_of_mass, center_of_mass_jacobian, frame_pose, jacobian
+from planner.dynamics.resting_poses import along_plane
+from planner.kernels.tree.mechanism_table import chain_of
+from planner.model.capabilities import floating_dofs, roots, stands_on_ground
 from planner.model.mechanism import Frame, Mechanism
+from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.constraints.clearance import PairClearanceFunction
 from planner.problem.constraints.constraint import Constraint
 from planner.problem.constraints.constraint_stack import ConstraintStack, StackEntry
@@ -174,3 +179,106 @@ def feet_of(mechanism: Mechanism, q: np.ndarray) -> Feet | None:
         np.array([mechanism.contacts[k].plane.normal for k in loaded]), center_of_mass(mechanism, q),
         stands_on_ground(mechanism),
     )  # fmt: skip
+
+
+class Stance(NamedTuple):
+    """A machine displaced along the ground, before its legs meet what is left of its targets."""
+
+    q: np.ndarray  # (nq,)
+    feet: Feet  # with the places to which they go
+
+
+def carried_stance(
+    feet: Feet, steps: frozenset[int], start: np.ndarray, q: np.ndarray, targets: Sequence[Target]
+) -> Stance | None:
+    """The stance of the start carried along to targets; None where no foot steps, or none can be carried.
+
+    Feet go to a goal with their machine: it is displaced and turned along the ground as a whole, its joints as they
+    are, to where its frames are nearest to their targets, and there the feet that step have the stance of the start.
+    What a target asks for besides, a height or a lean, is left to the legs.
+
+    Args:
+        feet: The feet at the start.
+        steps: Links of the feet that step; the others stay where they are.
+        start: (nq,) the configuration there.
+        q: (nq,) the configuration of the joints.
+        targets: Of frames.
+    """
+    mechanism, stepping = feet.mechanism, np.isin(feet.links, list(steps))
+    base = _base_dofs(mechanism, feet.links[stepping])
+    if not base.any():
+        return None
+    trunk, n = Frame(int(np.flatnonzero(base)[-1]), np.eye(4)), feet.normals[stepping][0]
+    ways = np.eye(mechanism.nv)[:, base]
+    ways = ways @ along_plane(mechanism, start, ways, np.array([trunk.link]), n)
+    if not ways.shape[1]:
+        return None
+    pad = np.zeros(mechanism.space.nx - mechanism.nq)
+    away = mechanism.space.difference(np.append(start, pad), np.append(q, pad))[: mechanism.nv]
+    joints = integrate_base(mechanism, q, np.where(base, away, 0.0))  # the base where it was at the start
+    turns = POSTURE_WEIGHT * (n @ jacobian(mechanism, start, trunk)[3:] @ ways)  # it turns only where that is asked for
+
+    def errors(s: np.ndarray) -> np.ndarray:
+        at, found = integrate_base(mechanism, joints, ways @ s), [turns @ s]
+        for one in targets:
+            r, _, angles = residuals(mechanism, at, one)
+            found.extend(r / np.where(angles, one.turn_scale, one.metre_scale))
+        return np.array(found)
+
+    from scipy.optimize import least_squares  # 0.4 s that `planner run` need not pay
+
+    displacement = ways @ least_squares(errors, np.zeros(ways.shape[1])).x
+    there, places = integrate_base(mechanism, start, displacement), feet.places.copy()
+    for k in np.flatnonzero(stepping):
+        places[k] = frame_pose(mechanism, there, feet.frames[k])[:3, 3]
+    return Stance(integrate_base(mechanism, joints, displacement), replace(feet, places=places))
+
+
+def _base_dofs(mechanism: Mechanism, links: np.ndarray) -> np.ndarray:
+    """(nv,) bool, the degrees of freedom that carry all the links (C,) and that no actuator drives; none of no link."""
+    carry = np.full(mechanism.nv, bool(len(links)))
+    for link in np.unique(links):
+        carry &= np.isin(np.arange(mechanism.nv), chain_of(mechanism.parent, int(link)))
+    return carry & ~mechanism.directly_actuated
+
+
+CENTER_SCALE = 1e-3  # m, displacement of the centre of mass of a residual of 1
+LEVEL = 1e-9  # of gravity: the part along a slide that is none
+
+
+def undamped_floating_dofs(dynamics: RigidBodyDynamics, x0: np.ndarray) -> np.ndarray:
+    """(nv,) bool, of bases in a state (nx,) at rest that no force from outside acts on, weight and drag included."""
+    mechanism = dynamics.mechanism
+    floating = floating_dofs(mechanism) & (mechanism.damping == 0.0) & (mechanism.armature == 0.0)
+    lifted = mechanism.gravcomp_mass.sum() >= mechanism.mass.sum() * (1.0 - 1e-9)
+    along = np.abs(_axes(mechanism, floating) @ mechanism.gravity).max(initial=0.0)
+    falls = not lifted and along > LEVEL * np.linalg.norm(mechanism.gravity)
+    if falls or mechanism.drags or np.any(x0[mechanism.velocities]) or floating[prescribed_dofs_of(dynamics)].any():
+        return np.zeros(mechanism.nv, dtype=bool)
+    return floating
+
+
+def kept_center_of_mass(dynamics: RigidBodyDynamics, x0: np.ndarray) -> ResidualAndJacobian | None:
+    """Displacement of the centre of mass of a pose (nq,) from that of the start (nx,), and its Jacobian; scaled.
+
+    Whatever its joints do it stays, of a machine at rest that nothing pushes from outside: along the slides that move
+    the machine as a whole, of a free joint in all of space. None where something pushes it, or it is not alone.
+    """
+    mechanism = dynamics.mechanism
+    axes = _axes(mechanism, undamped_floating_dofs(dynamics, x0))
+    if not len(axes) or len(set(roots(mechanism).tolist())) > 1:
+        return None
+    before = center_of_mass(mechanism, x0[: mechanism.nq])
+
+    def displaced(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        r, J = center_of_mass(mechanism, q) - before, center_of_mass_jacobian(mechanism, q)
+        return axes @ r / CENTER_SCALE, axes @ J / CENTER_SCALE
+
+    return displaced
+
+
+def _axes(mechanism: Mechanism, dofs: np.ndarray) -> np.ndarray:
+    """(K, 3) directions, in the world, of the slides among degrees of freedom (nv,) bool of bases."""
+    q, slides = mechanism.home[: mechanism.nq], np.flatnonzero(dofs & ~np.any(mechanism.S[:, :3] != 0.0, axis=1))
+    frames = [frame_pose(mechanism, q, Frame.at(int(i), np.zeros(3)))[:3, :3] for i in slides]
+    return np.reshape([R @ mechanism.S[i, 3:] for R, i in zip(frames, slides, strict=True)], (-1, 3))

@@ -18,10 +18,17 @@ from planner.model.capabilities import unreached_dofs
 from planner.model.mechanism import SCREW, Frame
 from planner.model.mjcf.prescribed_joints import prescribed_dofs_of
 from planner.problem.collision_free_path import CollisionChecker
-from planner.problem.tasks.footholds import carried_stance
 from planner.problem.tasks.goal import Follow
-from planner.problem.tasks.momentum import kept_center_of_mass
-from planner.problem.tasks.pose_constraints import FOOT_SCALE, Feet, PoseConstraints, ResidualAndJacobian, both, feet_of
+from planner.problem.tasks.pose_constraints import (
+    FOOT_SCALE,
+    Feet,
+    PoseConstraints,
+    ResidualAndJacobian,
+    both,
+    carried_stance,
+    feet_of,
+    kept_center_of_mass,
+)
 from planner.problem.tasks.timed_task import Task, TimedGoal, unit_of
 
 MAX_CONFIGURATIONS = 60  # along a path; joints follow a spline between them

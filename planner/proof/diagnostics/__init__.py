@@ -14,18 +14,16 @@ from planner.proof.diagnostics.effort import longer, more_time, passing_duration
 from planner.proof.diagnostics.goals import ignored_stance, larger_weights, not_moved, untouched, without_ignored
 from planner.proof.diagnostics.limits import clamped_in_file, fixed_joints, soft_equalities, wider_margin, within_limits
 from planner.proof.diagnostics.solving import (
+    clamped_between,
+    contacts_differ,
+    cycle_not_found,
+    failing_cycle,
     first_guess,
     more_iterations,
     not_a_minimum,
     nothing_known,
     other_guesses,
     other_model,
-)
-from planner.proof.diagnostics.stage import (
-    clamped_between,
-    contacts_differ,
-    cycle_not_found,
-    failing_cycle,
     shorter_stage,
     sparse_rows,
 )

@@ -24,11 +24,11 @@ from planner.problem.plan import Plan, Status
 from planner.problem.rediscretize import finer
 from planner.proof import Proof
 from planner.proof import prove as full_proof
-from planner.proof.contact_errors import FALLEN, contact_error
 from planner.proof.error_propagation import FACTOR
 from planner.proof.error_scales import shares_of_bounds
 from planner.proof.original_model import OVERLAPS_THAT_PUSH
 from planner.proof.replays.replaying import reached_by_plan
+from planner.proof.verdict import FALLEN, contact_error
 from planner.solvers.gains import warm_start
 from planner.solvers.slq import solve
 from planner.solvers.work import DEFAULT_WORK, WorkBudget, budget_of

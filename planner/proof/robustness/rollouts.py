@@ -32,9 +32,9 @@ from planner.problem.plan import Plan
 from planner.problem.touch_downs import StageRule, TouchDown, feet_of, near_touch_downs, reference
 from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.contact_history import may_touch
-from planner.proof.replays.foot_loads import FootLoads
 from planner.proof.replays.passive_torque_callback import curves_acting
 from planner.proof.replays.replaying import problem_of
+from planner.proof.replays.sampled_gains import FootLoads
 from planner.proof.replays.simulation import MAX_STEPS, NATIVE_IMPLICIT, RUNAWAY, damping_of
 from planner.proof.robustness.perturbation import Nominal, Perturbation, PerturbationSample, draw
 from planner.proof.robustness.success import ranges_of_motion

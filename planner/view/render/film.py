@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from planner.model.mechanism import Mechanism
     from planner.proof.replays.contact_history import ContactHistory
     from planner.proof.replays.replaying import Replay
-    from planner.proof.robustness.pushes import Push
+    from planner.proof.robustness.perturbation import Push
 
 # A frame shows the mean force over this time, s: a light foot rings with each simulator step, and an arrow of single
 # samples would flicker.

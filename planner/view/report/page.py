@@ -20,7 +20,7 @@ from planner.base.errors import PlannerError
 from planner.base.files import PathLike, file_error
 from planner.cases import CASES, problem_file
 from planner.cases.problem_file.keys import RESOLVED
-from planner.cases.problem_file.resolved_defaults import resolved_defaults
+from planner.cases.problem_file.tasks import resolved_defaults
 from planner.problem.default_appearance import appearance_of
 from planner.problem.plan import Plan
 from planner.solvers.options import SolverOptions
