@@ -16,7 +16,7 @@ from planner.base.arguments import count, number
 from planner.base.errors import PlannerError
 from planner.base.files import write_atomically
 from planner.cases.problem_file import ProblemFile
-from planner.cli.checking import durations_of, objective_of
+from planner.cli.commands import durations_of, objective_of
 from planner.cli.console import Console
 from planner.cli.flags import PROBLEM_FILE
 from planner.problem.archive import plan_name

@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from planner.base.errors import PlannerError
-from planner.dynamics.signed_distances import SignedDistances
+from planner.dynamics.contact_kinematics import SignedDistances
 from planner.model.mechanism import SCREW, Mechanism
 from planner.problem.constraints.clearance import PairClearance
 from planner.problem.initial_guess import inverse_dynamics_controls, minimum_jerk

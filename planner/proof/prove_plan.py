@@ -41,7 +41,6 @@ from planner.proof.goal_regulator import (
 )
 from planner.proof.original_model import PATH_IN_FILE, your_file
 from planner.proof.original_model import TITLE as FILE
-from planner.proof.own_step import own_step
 from planner.proof.replay_errors import goal, tracking
 from planner.proof.replays.compiled_twin import another_model, unmodelled_of
 from planner.proof.replays.replaying import Replay, replay_in, twin_of
@@ -51,7 +50,7 @@ from planner.proof.robustness.perturbed import MonteCarloSettings, perturbed
 from planner.proof.robustness.rollouts import MODES
 from planner.proof.same_step import same_step
 from planner.proof.skating import foot_penetration, skating
-from planner.proof.step_convergence import step_convergence
+from planner.proof.step_convergence import own_step, step_convergence
 from planner.proof.verdict import Proof
 
 ROLLOUTS = 512  # default maximum number of perturbed simulations in each mode

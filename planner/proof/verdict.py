@@ -37,11 +37,11 @@ from planner.proof.consistency import STEP_ERROR
 from planner.proof.error_propagation import FACTOR, SMALL, ErrorPropagation
 from planner.proof.error_scales import SMOOTHED, has_contacts, is_path_judged, worst_by_unit
 from planner.proof.goal_regulator import RegulatedRun
-from planner.proof.own_step import NAME as OWN_STEP
 from planner.proof.replays.replaying import Replay
 from planner.proof.robustness.perturbation import Perturbation
 from planner.proof.robustness.perturbed import JUDGED, RobustnessResult
 from planner.proof.stationarity import curvature_unknown
+from planner.proof.step_convergence import NAME as OWN_STEP
 from planner.proof.step_convergence import StepConvergence
 
 TESTED = "tested in your file"

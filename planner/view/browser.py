@@ -25,10 +25,9 @@ from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
 from planner.solvers.slq import solve
 from planner.view.render.camera import directions, whole_motion
-from planner.view.render.environment import visible_model
+from planner.view.render.environment import unobstructed, visible_model
 from planner.view.render.film import Film
 from planner.view.render.marks import ghost_paint
-from planner.view.render.obstruction import unobstructed
 from planner.view.report.view_3d import body_poses, drawn_shapes, mesh_of, place_in_world, simplified
 from planner.view.viewer import Player
 

@@ -27,10 +27,9 @@ from planner.proof.replays.compiled_twin import CompiledTwin
 from planner.proof.replays.replaying import replay_in
 from planner.proof.robustness.perturbed import replay_rollout
 from planner.view.render.camera import directions, scenery_of, whole_motion
-from planner.view.render.environment import visible_model
+from planner.view.render.environment import unobstructed, visible_model
 from planner.view.render.film import Film, interpolate
 from planner.view.render.marks import GhostDrawer, Marks, Outline, ghost_paint, screen_difference
-from planner.view.render.obstruction import unobstructed
 from planner.view.render.shapes import LinkCapsules, Paint, SceneGeoms
 
 SPACE, RIGHT, LEFT, DOWN, UP, HOME, END = 32, 262, 263, 264, 265, 268, 269  # GLFW's numbers of keys

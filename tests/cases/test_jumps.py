@@ -10,9 +10,8 @@ from planner.cases.problem_file import load, tasks
 from planner.dynamics.contacts import contact_forces
 from planner.dynamics.kinematics import center_of_mass
 from planner.dynamics.protocol import rollout_states
-from planner.problem.tasks.flight import phases_of_jumps
+from planner.problem.tasks.flight import _at_speed, flights_of, height_above_legs, jumping, phases_of_jumps
 from planner.problem.tasks.gait import gait_of
-from planner.problem.tasks.jump import _at_speed, flights_of, height_above_legs, jumping
 from planner.problem.tasks.legs import points_of_feet, standing_feet
 
 # A trunk of 3 kg on a vertical rail, and a leg of two links of 0.25 m, of which motors drive both hinges.

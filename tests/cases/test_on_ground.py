@@ -13,7 +13,7 @@ from planner.dynamics.statics import clearance
 from planner.model.mjcf.file_law import FILE_SMOOTHING
 from planner.problem.costs.tracking import tracking_of
 from planner.problem.goals import static_error
-from planner.proof.diagnostics.balance import standing_goal
+from planner.proof.diagnostics.goals import standing_goal
 
 # A sled of 2 kg on four balls, with a mast that a motor turns; the file lets it fall from 0.3 m above the floor.
 SLED = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1" pos="0 0 -1"/>

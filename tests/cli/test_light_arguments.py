@@ -11,7 +11,7 @@ import pytest
 import planner
 from planner.cases.problem_file import keys
 from planner.cli import case_flags
-from planner.cli.checking import check_inputs
+from planner.cli.commands import check_inputs
 from planner.cli.flags import value_of
 from planner.cli.parser import parse
 

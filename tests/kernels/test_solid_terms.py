@@ -6,7 +6,7 @@ from machines import gantry
 from scipy.spatial.transform import Rotation
 
 from planner import Mechanism, Problem, RigidBodyDynamics, TrackingCost
-from planner.dynamics.signed_distances import SignedDistances, distance_lower_bound
+from planner.dynamics.contact_kinematics import SignedDistances, distance_lower_bound
 from planner.model.contact.signed_distance import CollisionShape
 from planner.problem.costs.least_squares import PenaltyCost
 from planner.problem.costs.penalty_terms import Clearance

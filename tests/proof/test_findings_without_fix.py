@@ -11,7 +11,7 @@ import planner
 from planner import Limits, Mechanism, Problem, RigidBodyDynamics, SolverOptions, TrackingCost
 from planner.problem.problem_parts import PROBLEM_FILE, Recipe
 from planner.proof.diagnostics import suggested_fixes
-from planner.proof.diagnostics.balance import falling, loses_balance
+from planner.proof.diagnostics.goals import falling, loses_balance
 from planner.proof.diagnostics.limits import fixed_joints
 from planner.proof.diagnostics.solving import more_iterations, other_guesses, other_model
 from planner.solvers.continuation import DistantContacts

@@ -9,8 +9,8 @@ from planner.model.mechanism import Mechanism
 from planner.model.mjcf.model_index import compile_model
 from planner.problem.appearance import Appearance
 from planner.view.render.camera import directions
+from planner.view.render.environment import unobstructed
 from planner.view.render.film import Film
-from planner.view.render.obstruction import unobstructed
 
 
 def _film_beside_a_wall(y, height=2.0):

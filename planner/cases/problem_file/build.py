@@ -121,7 +121,7 @@ from planner.problem.problem import Problem
 from planner.problem.problem_parts import MAX_STAGES, PROBLEM_FILE, Recipe, durations_or_default
 from planner.problem.reaching_cost import along_gait, straight_reference, weighed
 from planner.problem.tasks.cycle import Cycle
-from planner.problem.tasks.phases import free_times
+from planner.problem.tasks.legs import free_times
 from planner.solvers.periodic_boundary import PARAMETER
 
 NAME = PROBLEM_FILE

@@ -19,7 +19,7 @@ import numpy as np
 from planner.base.arguments import array, number, numbers, set_fields, short_repr
 from planner.base.errors import PlannerError
 from planner.dynamics import Dynamics
-from planner.dynamics.signed_distances import SignedDistances, distance_lower_bound
+from planner.dynamics.contact_kinematics import SignedDistances, distance_lower_bound
 from planner.model.capabilities import stationary_object_bodies
 from planner.model.mechanism import Mechanism
 from planner.model.mjcf.collision_pairs import CollisionPair, select_collision_pairs

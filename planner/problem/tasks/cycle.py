@@ -27,9 +27,8 @@ from planner.problem.costs.residual_functions import rotation_of
 from planner.problem.stances import Stance, stances_of_swings
 from planner.problem.tasks.flight import check_flight_time
 from planner.problem.tasks.gait import Gait, centres_of, feet_of, height_of, stands_at
-from planner.problem.tasks.legs import Foot, longest_step, over_support, points_of_feet, stepping, with_legs
+from planner.problem.tasks.legs import Foot, Phase, longest_step, over_support, points_of_feet, stepping, with_legs
 from planner.problem.tasks.mirror import Mirror, base_dofs, compared_sides, mirror_of, quaternion_of_base
-from planner.problem.tasks.phases import Phase
 
 WHOLE = 5  # cycles of the motion of which the middle one is the reference
 PASSES = 20  # solves: a trot takes 3 to 6, a bound whose reference falls 12

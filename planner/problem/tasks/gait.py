@@ -38,22 +38,22 @@ from planner.model.urdf.write import is_urdf
 from planner.problem.constraints.clearance import model_index_of
 from planner.problem.costs.frame import CLEARANCE
 from planner.problem.stances import Stance, stances_of_phases, stances_of_swings
-from planner.problem.tasks.flight import check_flight_time
-from planner.problem.tasks.jump import flights_of, jumping
+from planner.problem.tasks.flight import check_flight_time, flights_of, jumping
 from planner.problem.tasks.legs import (
     Foot,
+    Phase,
     centres_of,
     evenly_paced,
     height_of,
     last_change,
     longest_step,
     over_support,
+    phase_of,
     points_of_feet,
     standing_feet,
     stepping,
     with_legs,
 )
-from planner.problem.tasks.phases import Phase, phase_of
 
 # Turns of the rear left, rear right, front left and front right foot; walk has the lateral sequence, and a walk on two
 # feet the first two of its turns.

@@ -9,9 +9,18 @@ from __future__ import annotations
 
 from planner.problem.plan import Plan, Status
 from planner.proof.diagnostics.avoid_contact import avoid_contact, no_way_around
-from planner.proof.diagnostics.balance import falling, gait_needed, jump_not_found, standing_goal
 from planner.proof.diagnostics.effort import longer, more_time, passing_duration, too_little_thrust
-from planner.proof.diagnostics.goals import ignored_stance, larger_weights, not_moved, untouched, without_ignored
+from planner.proof.diagnostics.goals import (
+    falling,
+    gait_needed,
+    ignored_stance,
+    jump_not_found,
+    larger_weights,
+    not_moved,
+    standing_goal,
+    untouched,
+    without_ignored,
+)
 from planner.proof.diagnostics.limits import clamped_in_file, fixed_joints, soft_equalities, wider_margin, within_limits
 from planner.proof.diagnostics.solving import (
     clamped_between,

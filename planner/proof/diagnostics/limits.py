@@ -16,7 +16,7 @@ from planner.problem.joint_limits import OFF, is_word
 from planner.problem.limits import MODEL, Limits
 from planner.problem.plan import Plan
 from planner.problem.problem import Problem
-from planner.proof.diagnostics.balance import loses_balance
+from planner.proof.diagnostics.goals import loses_balance
 from planner.proof.diagnostics.suggested_fix import SuggestedFix, fix, no_fix, rounded_up
 from planner.proof.error_scales import bounds_in_file
 from planner.proof.original_model import EQUALITY_RATE, RANGE_EXCESS, TIMESTEP

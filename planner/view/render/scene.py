@@ -13,10 +13,9 @@ from PIL import Image
 from planner.base import gl
 from planner.problem.appearance import Appearance
 from planner.view.render.camera import Window, directions, moving_points, moving_window, scenery_of, whole_motion
-from planner.view.render.environment import visible_model
+from planner.view.render.environment import unobstructed, visible_model
 from planner.view.render.film import Film
 from planner.view.render.marks import SAME_PICTURE_PIXELS, GhostDrawer, Marks, Outline, ghost_paint, screen_difference
-from planner.view.render.obstruction import unobstructed
 from planner.view.render.shapes import LinkCapsules, SceneGeoms, without_shadow
 
 FORCE = (0.89, 0.12, 0.14, 1.0)

@@ -16,10 +16,9 @@ from markupsafe import Markup
 
 from planner.base.gl import load_mujoco
 from planner.view.render.camera import scenery_of, whole_motion
-from planner.view.render.environment import visible_model
+from planner.view.render.environment import unobstructed, visible_model
 from planner.view.render.film import Film
 from planner.view.render.marks import Marks, ghost_paint
-from planner.view.render.obstruction import unobstructed
 from planner.view.render.shapes import LinkCapsules
 from planner.view.report.markup import json_block, render
 
