@@ -64,7 +64,7 @@ def test_what_cannot_be_kept_ends_with_1_and_a_plan(tmp_path):
         ({"frame": "a"}, "expected frame with one of"),
         ({"frame": "a", "power": "b"}, "expected frame with one of"),
         ({"frame": "a", "positon": [0, 0, 0]}, "Did you mean 'position'"),
-        ({"frame": "a", "position": [0, 0]}, "shape"),
+        ({"frame": "a", "position": [0, 0]}, "expected 3 numbers"),
         ({"frame": "a", "pointing": "up", "within": 0.1}, "expected one of: x, y, z"),
         ({"frame": "a", "pointing": "z"}, "no key 'within'"),
         ({"frame": "a", "pointing": "z", "within": 0}, "greater than 0"),
