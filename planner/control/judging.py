@@ -235,8 +235,8 @@ def _constraints(loop: ClosedLoopRun) -> Section:
     """Stops that joints are driven beyond, and largest violations of ranges and constraints in the task, unbounded."""
     problem = loop.controller.problem
     M, found = problem.N * loop.substeps, _stop(loop, GOAL_TOLERANCES if loop.perturbed else 1.0)
-    unknown = problem.trajectory_constraints is None or len(loop.xs) <= M or not np.isfinite(loop.xs).all()
-    if unknown:
+    constraints = problem.trajectory_constraints
+    if constraints is None or len(loop.xs) <= M or not np.isfinite(loop.xs).all():
         why = "no stops, no ranges and no constraints, or no whole task"
         return Section("constraints", tuple(found), "" if found else why)
     xs, us = loop.xs[: M + 1], loop.ctrl[:M]
@@ -246,8 +246,8 @@ def _constraints(loop: ClosedLoopRun) -> Section:
         for unit in dict.fromkeys(one.unit for one in on_way):
             value, name = max((float(b), one.name) for b, one in zip(beyond, on_way, strict=False) if one.unit == unit)
             found.append(Measurement(f"{word_of(unit)}_{BEYOND_RANGE}", value, unit, None, f"largest, of {name}"))
-    if problem.trajectory_constraints.rows is not None and us.shape[1] == problem.dynamics.nu:
-        for one in problem.trajectory_constraints.rows.violations(xs, us):
+    if constraints.rows is not None and us.shape[1] == problem.dynamics.nu:
+        for one in constraints.rows.violations(xs, us):
             note = f"{one.constraint.name}: largest at any step of the task"
             found.append(Measurement(VIOLATED, one.value, one.constraint.unit, None, note))
     return Section("constraints", tuple(found))

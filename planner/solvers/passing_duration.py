@@ -26,7 +26,7 @@ InDuration = Callable[[Problem, float, Plan], tuple[float, Plan]]
 
 def find_passing_duration(
     problem: Problem, s: float, plan: Plan, in_duration: InDuration, from_swings: Callable[[Problem], Plan | None],
-    report: Callable[[float], object],
+    report: Callable[[float, Plan], object],
 ) -> None:  # fmt: skip
     """Report each duration found to pass, s: the last one is the shortest, to within PRECISION of one that fails.
 
@@ -36,7 +36,7 @@ def find_passing_duration(
         plan: Its plan.
         in_duration: One try from a plan.
         from_swings: One try from swings; None where no plan passes.
-        report: Called with a shorter duration each time, so that a search that is cut has the last one.
+        report: Called with a shorter duration and its plan each time, so that a search that is cut has the last one.
     """
     fails = 1.0
     try:
@@ -59,7 +59,7 @@ def find_passing_duration(
     except PlannerError:  # parts that cannot have another duration
         return
     duration = rounded_duration(longer, 1.0)
-    report(duration)
+    report(duration, plan)
     while duration > PRECISION * fails * problem.duration:
         between = lengthened(problem, math.sqrt(fails * duration / problem.duration))
         shorter = rounded_duration(between, 1.0)
@@ -70,4 +70,4 @@ def find_passing_duration(
             fails = shorter / problem.duration
         else:
             plan, duration = found, shorter
-            report(duration)
+            report(duration, plan)

@@ -16,19 +16,17 @@ is taken, too, where it costs less and lacks weight for its goals.
 Before, where joints have friction loss, the easier problem is one whose loss is full only at SMOOTHER times the speed:
 a joint that reverses then meets a damper and no kink. Its plan is the first guess of the asked problem.
 
-Bounds that act from the first iteration may trap a solve too. The free problem is easy; its plan is followed into the
-limits by a continuation in the logarithm of the factor by which they are wider.
-
-Where this branch ends above the factor 1, others begin at SWING_FACTOR from controls that swing between their bounds:
-with as many half periods as the slowest oscillation about the start has in the duration, with one less and with one
-more, of either sign. If all end, the motion is infeasible as far as found. Then the continuation goes on in other
-durations, until the limits hold (solvers.passing_duration).
+Bounds that act from the first iteration may trap a solve too. The plan of the free problem is followed into the limits,
+by a continuation in the logarithm of the factor by which they are wider. Where this branch ends above the factor 1,
+others begin at SWING_FACTOR from controls that swing between their bounds: with as many half periods as the slowest
+oscillation about the start has in the duration, one less and one more, of either sign; at last so within the limits.
+If all end, the motion is infeasible as far as found, and other durations are tried (solvers.passing_duration).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -107,8 +105,8 @@ def relax(
         budget: That the solves after the direct one are charged to, and that ends them.
 
     Returns:
-        The direct plan, or a better one, has the status INFEASIBLE where the free problem is solved, and this one is
-        not; and the one of the budget where that ended the search.
+        The direct plan, or a better one, is INFEASIBLE where the free problem is solved and this one is not; it has the
+        status of the budget where that ended the search.
     """
     work = _Relaxation(problem, solve_one, options, callback, budget)
     try:
@@ -197,9 +195,10 @@ class _Relaxation:
                 lowest = s, plan
         if lowest is None or meets_goals(direct):
             return direct  # slow, but not infeasible
+        if (plan := self._from_swings(problem)) is not None:
+            return replace(plan, starts=direct.starts)
         self.passing["factor"] = math.exp(lowest[0])
-        report = partial(self.passing.__setitem__, "duration")
-        find_passing_duration(problem, *lowest, self._in_duration, self._from_swings, report)
+        find_passing_duration(problem, *lowest, self._in_duration, self._from_swings, self._passes_in)
         return replace(direct, status=Status.INFEASIBLE)
 
     def _by_other_guesses(self, direct: Plan) -> Plan | None:
@@ -274,11 +273,10 @@ class _Relaxation:
         return plan if self._report("friction", 1.0, plan, plan.converged and meets_goals(plan)) else None
 
     def _by_softer_contacts(self, direct: Plan) -> Plan | None:
-        """The plan of the problem that one of softer contacts leads to, or None.
+        """The plan that softer contacts lead to, else that of the cheapest attempt if it is promising; or None.
 
         What stands on softer ground stands lower: only the last plan has to meet the goals, and one that costs as much
-        as that before lacks weight. The first need not converge. Where the branch ends before, the cheapest attempt at
-        the problem itself goes on, if it is promising.
+        as that before lacks weight.
         """
         costs, attempts = list[float](), list[Plan]()
 
@@ -326,13 +324,13 @@ class _Relaxation:
         """The free plan, then those of other numbers of swings that meet the goal in wider limits, and their s."""
         yield max(math.log(max(family.factor, 1.0)), Continuation.min_step), free
         factor = min(SWING_FACTOR, max(family.factor, 1.0))
-        for plan in self._swings("swing", family.at(factor), factor):
+        for plan in self._swings("swing", family.at(factor), factor, swings(self.problem)):
             yield max(math.log(factor), Continuation.min_step), plan
 
-    def _swings(self, stage: str, problem: Problem, factor: float) -> Iterator[Plan]:
+    def _swings(self, stage: str, problem: Problem, factor: float, guesses: Iterable[np.ndarray]) -> Iterator[Plan]:
         """The plans of other numbers of swings that meet the goals, until MAX_REPEATS lead to one that was seen."""
         seen, again = list[float](), 0
-        for us in swings(problem):
+        for us in guesses:
             plan = self.solve_one(problem, self.options, None, None, us, self._allowed(problem, FIRST_ITERATIONS), None)
             same = any(math.isclose(plan.cost, cost, rel_tol=SAME_COST) for cost in seen)
             kept, again = meets_goals(plan) and not same, again + same
@@ -343,20 +341,23 @@ class _Relaxation:
                 return
 
     def _in_duration(self, problem: Problem, s: float, plan: Plan) -> tuple[float, Plan]:
-        """0 and the plan of the problem in another duration if it passes, else the smallest s that was reached."""
+        """0 and the plan in another duration if it passes, else the smallest s that was reached."""
         direct = self._solve(problem, None, FIRST_ITERATIONS)
         if self._report("duration", 1.0, direct, direct.converged and self.is_kept(direct)):
             return 0.0, direct
         family = WiderLimits(problem, 1.0, None, None)
         wider = self._solve(family.at(math.exp(s)), plan.motion.stretched(problem.duration), FIRST_ITERATIONS)
         kept = self.is_kept(wider) and (s > 0.0 or wider.converged)
-        if self._report("duration", math.exp(s), wider, kept):
-            return self._continuation("duration", family).run(s, wider)
-        return s, plan
+        kept = self._report("duration", math.exp(s), wider, kept)
+        return self._continuation("duration", family).run(s, wider) if kept else (s, plan)
 
     def _from_swings(self, problem: Problem) -> Plan | None:
         """The first plan of a problem from swings that passes."""
-        return next((plan for plan in self._swings("duration", problem, 1.0) if plan.converged), None)
+        return next((one for one in self._swings("duration", problem, 1.0, swings(problem)) if one.converged), None)
+
+    def _passes_in(self, duration: float, plan: Plan) -> None:
+        """Note a duration that passes; if its plan has weight for its goals, those of shorter ones are to, too."""
+        self.passing["duration"], self.is_kept = duration, meets_goals if meets_goals(plan) else self.is_kept
 
     def _continuation(self, stage: str, family: WiderLimits | SofterContacts | DistantContacts) -> Continuation:
         return Continuation(
@@ -378,9 +379,8 @@ class _Relaxation:
         return iterations if self.budget is None else self.budget.iterations(problem, iterations, 1, in_numpy)
 
     def _report(self, stage: str, factor: float, plan: Plan, kept: bool) -> bool:
-        duration = float(plan.t[-1])
-        step = RelaxationStep(len(self.steps), stage, factor, duration, plan.cost, plan.nit, plan.status, kept)
-        self.steps.append(step)
+        row = (stage, factor, float(plan.t[-1]), plan.cost, plan.nit, plan.status, kept)
+        self.steps.append(step := RelaxationStep(len(self.steps), *row))
         if plan.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if self.budget is not None and stage != "direct":

@@ -279,7 +279,7 @@ def test_a_swing_up_that_hangs_on_its_motor_needs_time_and_no_weight(tmp_path):
     problem = file(tmp_path, model, keys, weights, {"control": '"model"', "position": '"model"'})
     found = suggested_fixes(*tried(problem))
     assert [one.key for one in found][:2] == ["duration", "weights"]
-    assert found[0].code == "at_bounds"
+    assert found[0].code == "infeasible"  # it passes from swings in a longer duration
     value = found[0].value
     assert longer(problem, found[0]).value > 1.4 * value
 

@@ -41,7 +41,9 @@ def test_the_duration_found_is_within_the_precision_of_one_that_fails(limit):
     def from_swings(problem):
         return in_duration(problem, 0.5, None)[1]
 
-    find_passing_duration(swing_up(2.0, 5.0), 0.5, SimpleNamespace(), in_duration, from_swings, found.append)
+    find_passing_duration(
+        swing_up(2.0, 5.0), 0.5, SimpleNamespace(), in_duration, from_swings, lambda one, _: found.append(one)
+    )
     assert found == sorted(found, reverse=True)
     assert limit <= found[-1] < PRECISION * limit + 0.1
     assert len(tried) <= len(LENGTHENINGS) + len(SWING_LENGTHENINGS) + 5
@@ -50,7 +52,7 @@ def test_the_duration_found_is_within_the_precision_of_one_that_fails(limit):
 def test_no_duration_is_named_where_none_passes():
     found = list[float]()
     find_passing_duration(
-        swing_up(2.0, 5.0), 0.5, None, lambda _, s, plan: (s, plan), lambda _: None, found.append
+        swing_up(2.0, 5.0), 0.5, None, lambda _, s, plan: (s, plan), lambda _: None, lambda one, _: found.append(one)
     )  # fmt: skip
     assert not found
 
